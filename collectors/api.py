@@ -1,0 +1,197 @@
+"""``collect``: from a method's name to published Minari datasets."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from cudc_bench import plugins
+from cudc_bench.config import as_dict, build, check_settings, config_hash
+from cudc_bench.data.staging import publish, staging
+from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes, write_metadata
+from cudc_bench.envs import DOMAINS, check_domain
+from cudc_bench.envs.simulator import Float32, Float64
+from cudc_bench.errors import UsageError
+from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
+from cudc_bench.manifest import Manifest, check_free, fingerprint
+from cudc_bench.options import check_folder, format_seeds
+from cudc_bench.parallel import Job, run_jobs, worker_count
+from cudc_bench.profiles import resolve_device, resolve_profile
+from cudc_bench.progress import Advance, say
+from cudc_bench.provenance import commit, machine, versions
+
+from .base import Space
+from .loop import CollectConfig, run_collection
+
+
+def collect(
+    method: str = "cudc",
+    domain: str = "walker",
+    seeds: Sequence[int] = (1,),
+    *,
+    profile: str = "auto",
+    settings: Mapping[str, Any] | None = None,
+    dataset_id: str | None = None,
+    overwrite: bool = False,
+    device: str = "auto",
+    workers: int | None = 1,
+) -> list[str]:
+    """Explore a domain without rewards and write one Minari dataset for each seed.
+
+    Args:
+        method: a registered collector.
+        domain: a registered domain.
+        seeds: one dataset each; seed 1 becomes ``walker/cudc-v0``, seed 2 ``walker/cudc-seed2-v0``.
+        profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``.
+        settings: hyperparameters that differ from the profile, by name.
+        dataset_id: instead of the default id; for one seed only.
+        overwrite: replace datasets that exist.
+        device: ``cpu``, ``cuda`` or ``auto``.
+        workers: processes on a CPU; 1 works in this process, None takes one for each core.
+
+    Returns:
+        The ids of the datasets, in the order of the seeds.
+
+    Raises:
+        UsageError: wrong input; nothing has been written.
+        RunError: the run failed.
+    """
+    kind = plugins.load("collectors", method)
+    facts = check_domain(domain)
+    chosen = resolve_profile(profile)
+    settings = dict(settings or {})
+    check_settings(settings, [CollectConfig, kind.config_class])
+    loop = build(CollectConfig, chosen.collect, settings)
+    config = build(kind.config_class, chosen.collect, kind.domain_values.get(domain, {}), settings)
+    values = as_dict(loop, config)
+    overrides = {name: values[name] for name in settings}
+    if not seeds:
+        raise UsageError("no seed was given; give at least one.")
+    if dataset_id is not None and len(seeds) > 1:
+        raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
+    ids = [parse_id(dataset_id) if dataset_id else default_id(domain, method, seed) for seed in seeds]
+    for one in ids:
+        check_free(one, overwrite)
+    check_folder(datasets_root(), "the dataset root")
+    device = resolve_device(device)
+    # Building once here finds settings that do not fit each other before any process starts.
+    space = _space(domain, loop)
+    try:
+        probe = kind(space, config, seeds[:1], "cpu")
+    except ValueError as error:
+        raise UsageError(f"{method} cannot be built: {error}.") from None
+    if probe.max_horizon > facts.episode_length:
+        raise UsageError(f"a horizon of {probe.max_horizon} steps does not fit into episodes of {facts.episode_length}.")
+    del probe
+
+    say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {loop.steps:,} steps each, {device}")
+    groups = [list(range(len(seeds)))] if device == "cuda" else [[index] for index in range(len(seeds))]
+    jobs = [
+        Job(
+            description=f"{method} seed {format_seeds([seeds[i] for i in group])}",
+            total=loop.steps,
+            arguments={
+                "method": method, "domain": domain, "seeds": [seeds[i] for i in group], "ids": [ids[i] for i in group],
+                "profile": chosen.name, "loop": loop, "config": config, "overrides": overrides, "device": device,
+            },
+        )
+        for group in groups
+    ]  # fmt: skip
+    count = 1 if device == "cuda" else worker_count(workers, len(jobs))
+    run_jobs(collect_members, jobs, unit="steps", workers=count, threads=chosen.threads)
+    for one in ids:
+        say(f"wrote {one} to {dataset_path(one)}")
+    return [str(one) for one in ids]
+
+
+def collect_members(
+    advance: Advance, *, method: str, domain: str, seeds: list[int], ids: list[DatasetId], profile: str,
+    loop: CollectConfig, config: Any, overrides: dict[str, Any], device: str,
+) -> None:  # fmt: skip
+    """Collect some members in this process and publish their datasets (the job of :func:`collect`)."""
+    started = time.monotonic()
+    kind = plugins.load("collectors", method)
+    collector = kind(_space(domain, loop), config, seeds, device)
+    values = as_dict(loop, config)
+    with ExitStack() as stack:
+        folders = [stack.enter_context(staging(one)) for one in ids]
+        sinks = [_Sink(folder) for folder in folders]
+        run_collection(collector, loop, DOMAINS[domain], list(sinks), advance)
+        summaries = collector.summary()
+        head, dirty = commit()
+        for seed, one, folder, sink, summary in zip(seeds, ids, folders, sinks, summaries, strict=True):
+            written = write_episodes(folder / "data", iter(sink.shards))
+            manifest = Manifest(
+                domain=domain,
+                method=method,
+                seed=seed,
+                steps=written.steps,
+                episodes=written.episodes,
+                profile=profile,
+                overrides=overrides,
+                hyperparameters=values,
+                hyperparameters_hash=config_hash(values),
+                fields=written.fields,
+                fingerprint=fingerprint(written.fields),
+                diagnostics=sink.last | summary,
+                versions=versions(),
+                commit=head,
+                dirty=dirty,
+                machine=machine(device, torch.get_num_threads()),
+                seconds=round(time.monotonic() - started, 1),
+                created=datetime.now(UTC).isoformat(timespec="seconds"),
+                command=_command(method, domain, seed, profile, overrides, one),
+            )
+            description = (
+                f"Task-agnostic exploration of dm_control's {domain} by {method}: the rewards are all 0. "
+                "Relabel it for a task with cudc-bench, or compute rewards from infos/physics."
+            )
+            write_metadata(folder / "data", manifest, str(one), description)
+            sink.close()
+            publish(folder, one)
+
+
+def _space(domain: str, loop: CollectConfig) -> Space:
+    facts = DOMAINS[domain]
+    return Space(domain, facts.observation_size, facts.action_size, facts.episode_length, loop.seed_steps, loop.update_every)
+
+
+def _command(method: str, domain: str, seed: int, profile: str, overrides: Mapping[str, Any], dataset_id: DatasetId) -> str:
+    words = ["cudc-bench", "collect", "--domain", domain, "--method", method, "--seed", str(seed), "--profile", profile]
+    for name, value in overrides.items():
+        words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
+    if dataset_id != default_id(domain, method, seed):
+        words += ["--dataset-id", str(dataset_id)]
+    return shlex.join(words)
+
+
+class _Sink:
+    """Puts what one member collects into its staging folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.shards = EpisodeShards(folder / "shards")
+        self.last: dict[str, Any] = {}
+        self._shard_folder = folder / "shards"
+        self._diagnostics = (folder / "diagnostics.jsonl").open("w", encoding="utf-8")
+
+    def add_episode(self, seed: int, observations: Float32, actions: Float32, physics: Float64) -> None:
+        self.shards.add(Episode(seed, observations, actions, {"physics": physics}))
+
+    def add_diagnostics(self, row: dict[str, Any]) -> None:
+        self.last = row
+        self._diagnostics.write(json.dumps(row) + "\n")
+
+    def close(self) -> None:
+        """Close the diagnostics and remove the shards: the dataset is complete without them."""
+        self._diagnostics.close()
+        for shard in self._shard_folder.iterdir():
+            shard.unlink()
+        self._shard_folder.rmdir()

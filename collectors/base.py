@@ -1,0 +1,88 @@
+"""What every collector offers to the collection loop."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from cudc_bench.replay import Batch
+
+
+@dataclass(frozen=True)
+class Space:
+    """The sizes that a method is built for.
+
+    Attributes:
+        domain: its name.
+        observation: S.
+        action: A.
+        episode_length: T.
+        seed_steps: environment steps of uniformly random actions before the first update.
+        update_every: environment steps for each update.
+    """
+
+    domain: str
+    observation: int
+    action: int
+    episode_length: int
+    seed_steps: int
+    update_every: int
+
+
+class Collector(ABC):
+    """A stack of E independent explorers, one for each seed.
+
+    Class attributes:
+        config_class: the frozen dataclass of hyperparameters; its defaults are the paper's.
+        domain_values: hyperparameters that the method's paper sets per domain.
+        family: how it explores, for lists and tables.
+        citation: the paper, for lists and tables.
+        learns: False if ``update`` never has anything to do.
+    """
+
+    config_class: ClassVar[type]
+    domain_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    family: ClassVar[str]
+    citation: ClassVar[str]
+    learns: ClassVar[bool] = True
+
+    def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        self.space = space
+        self.config = config
+        self.seeds = tuple(seeds)
+        self.device = torch.device(device)
+
+    @property
+    @abstractmethod
+    def horizon(self) -> Tensor:
+        """k of each member (E,), int64: how many steps lie between s and s' in the next minibatch."""
+
+    @property
+    def max_horizon(self) -> int:
+        """The largest k that a member can reach; episodes must be at least this long."""
+        return int(self.horizon.max())
+
+    @abstractmethod
+    def act(self, observation: Tensor, explore: bool = True) -> Tensor:
+        """Actions (E, A) in [-1, 1] for observations (E, S); deterministic without ``explore``."""
+
+    @abstractmethod
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        """Learn from one minibatch. The metrics are (E,) tensors, complete when ``batch.measure`` is set."""
+
+    def summary(self) -> list[dict[str, Any]]:
+        """What the manifest keeps of each member's run beside the last metrics."""
+        return [{} for _ in self.seeds]
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that ``update`` and ``act`` change: networks, optimisers, generators, counters."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where ``state_dict`` was taken."""

@@ -1,0 +1,182 @@
+"""The backbone of every learning collector: DDPG with twin critics, as URLB configures it for states.
+
+One update is one fixed sequence: believe, reward, critic, actor, targets. A method says only what is its own: what it believes
+(``build`` and ``belief_loss``), what it rewards (``reward``), and, for some, its horizon or its sample weights.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import torch
+from torch import Tensor, nn
+
+from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.networks import (
+    MemberRandom,
+    SharedTrunkCritic,
+    actor,
+    adam,
+    frozen,
+    make_target,
+    minimise,
+    noisy_action,
+    soft_update,
+)
+from cudc_bench.replay import Batch
+
+from .base import Collector, Space
+
+
+@dataclass(frozen=True)
+class DDPGConfig:
+    """URLB's values for states (Laskin et al. 2021), which the paper prints as common hyperparameters."""
+
+    batch_size: PositiveInt = 1024
+    width: PositiveInt = 1024
+    learning_rate: PositiveFloat = 1e-4
+    discount: Fraction = 0.99
+    critic_tau: Fraction = 0.01
+    noise_std: NonNegativeFloat = 0.2
+    noise_clip: NonNegativeFloat = 0.3
+    horizon: PositiveInt = 3
+    td_discount: Literal["gamma_pow_k", "gamma"] = "gamma_pow_k"
+
+
+class DDPG(Collector, nn.Module):
+    """A stack of E agents that maximise an intrinsic reward.
+
+    The critic's target is r + γ^k min_j Q̄_j(s', a') with a' from the online actor (there is no target actor); the actor maximises
+    min_j Q_j. Both use clipped Gaussian noise (spec of URLB's ``ddpg``).
+    """
+
+    config_class: ClassVar[type] = DDPGConfig
+
+    def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        nn.Module.__init__(self)
+        Collector.__init__(self, space, config, seeds, device)
+        self._act_random = MemberRandom(seeds, "act", device)
+        self._noise_random = MemberRandom(seeds, "update", device)
+        weights = MemberRandom(seeds, "weights", device)
+        critic_inputs = space.observation + space.action
+        self.actor = actor(weights, space.observation, space.action, config.width)
+        self.critic = SharedTrunkCritic(weights, critic_inputs, config.width)
+        self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, critic_inputs, config.width))
+        self.actor_optimiser = adam([self.actor], config.learning_rate)
+        self.critic_optimiser = adam([self.critic], config.learning_rate)
+        members = len(seeds)
+        self.register_buffer("updates", torch.zeros((), dtype=torch.int64, device=self.device))
+        self.register_buffer("k", torch.full((members,), config.horizon, dtype=torch.int64, device=self.device))
+        believers = self.build(weights)
+        self.belief_optimiser = adam(believers, config.learning_rate) if believers else None
+
+    # What a method says
+
+    def build(self, random: MemberRandom) -> list[nn.Module | nn.Parameter]:
+        """Make the method's own networks; return those that ``belief_loss`` trains, in one Adam."""
+        return []
+
+    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss (E,) of the method's own networks, and metrics."""
+        raise NotImplementedError(f"{type(self).__name__} trains networks but has no belief_loss")
+
+    @abstractmethod
+    def reward(self, batch: Batch) -> Tensor:
+        """The intrinsic reward (E, B), after the belief step, without gradient."""
+
+    def sample_weight(self, batch: Batch) -> Tensor | None:
+        """Weights (E, B) of the samples in the losses of critic and actor; None for equal weights."""
+        return None
+
+    def after_belief(self, batch: Batch) -> dict[str, Tensor]:
+        """What else changes after the belief step, such as the horizon; returns metrics."""
+        return {}
+
+    def update_targets(self) -> None:
+        """Move the method's own slow copies."""
+
+    # The fixed sequence
+
+    k: Tensor
+    updates: Tensor
+
+    @property
+    def horizon(self) -> Tensor:
+        return self.k
+
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        metrics: dict[str, Tensor] = {}
+        if self.belief_optimiser is not None:
+            loss, metrics = self.belief_loss(batch)
+            minimise(loss, self.belief_optimiser)
+        with torch.no_grad():
+            reward = self.reward(batch)
+            weight = self.sample_weight(batch)
+            metrics |= self.after_belief(batch)
+        metrics |= self._update_critic(batch, reward, weight)
+        metrics |= self._update_actor(batch, weight)
+        soft_update(self.critic, self.target_critic, self.config.critic_tau)
+        self.update_targets()
+        self.updates += 1
+        return metrics if batch.measure else {}
+
+    def _policy(self, observation: Tensor) -> Tensor:
+        mean = self.actor(observation)
+        noise = self._noise_random.normal(*mean.shape[1:])
+        return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
+
+    def bootstrap(self, batch: Batch) -> Tensor:
+        """The factor (E, 1) of the next value: γ^k, since s' lies k steps ahead; or plain γ, as the paper prints it."""
+        if self.config.td_discount == "gamma":
+            return torch.full((len(self.seeds), 1), self.config.discount, device=self.device)
+        return (self.config.discount ** batch.horizon.float())[:, None]
+
+    def _update_critic(self, batch: Batch, reward: Tensor, weight: Tensor | None) -> dict[str, Tensor]:
+        with torch.no_grad():
+            next_value = self.target_critic(batch.next_observation, self._policy(batch.next_observation)).amin(-1)
+            target = reward + self.bootstrap(batch) * next_value
+        values = self.critic(batch.observation, batch.action)
+        error = (values - target[..., None]).square().sum(-1)
+        loss = (error if weight is None else weight * error).mean(1)
+        minimise(loss, self.critic_optimiser)
+        if not batch.measure:
+            return {}
+        return {"reward": reward.mean(1), "q": values.detach().mean((1, 2)), "critic_loss": loss.detach()}
+
+    def _update_actor(self, batch: Batch, weight: Tensor | None) -> dict[str, Tensor]:
+        with frozen(self.critic):
+            value = self.critic(batch.observation, self._policy(batch.observation)).amin(-1)
+            loss = -(value if weight is None else weight * value).mean(1)
+            minimise(loss, self.actor_optimiser)
+        return {"actor_loss": loss.detach()}
+
+    @torch.no_grad()
+    def act(self, observation: Tensor, explore: bool = True) -> Tensor:
+        mean = self.actor(observation[:, None])[:, 0]
+        if not explore:
+            return mean
+        return noisy_action(mean, self._act_random.normal(self.space.action), self.config.noise_std, None)
+
+    # Saving
+
+    def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        found = {"actor": self.actor_optimiser, "critic": self.critic_optimiser, "belief": self.belief_optimiser}
+        return {name: optimiser for name, optimiser in found.items() if optimiser is not None}
+
+    def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
+        return {
+            "networks": nn.Module.state_dict(self),
+            "optimisers": {name: optimiser.state_dict() for name, optimiser in self._optimisers().items()},
+            "act": self._act_random.state_dict(),
+            "noise": self._noise_random.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
+        nn.Module.load_state_dict(self, state["networks"])
+        for name, optimiser in self._optimisers().items():
+            optimiser.load_state_dict(state["optimisers"][name])
+        self._act_random.load_state_dict(state["act"])
+        self._noise_random.load_state_dict(state["noise"])

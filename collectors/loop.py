@@ -1,0 +1,125 @@
+"""The loop that runs any collector: act, store, update, and hand every finished episode on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from cudc_bench.config import NonNegativeInt, PositiveInt
+from cudc_bench.envs import Domain, simulator_class
+from cudc_bench.envs.simulator import Float32, Float64
+from cudc_bench.errors import RunError
+from cudc_bench.networks import MemberRandom
+from cudc_bench.replay import Episodes
+from cudc_bench.seeding import episode_seed
+
+from .base import Collector
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """How much is collected and how often the method learns (paper, appendix; URLB).
+
+    Attributes:
+        steps: environment steps, all of which form the dataset.
+        seed_steps: steps of uniformly random actions before the first update.
+        update_every: environment steps for each update.
+        measure_every: updates between two lines of diagnostics.
+    """
+
+    steps: PositiveInt = 1_000_000
+    seed_steps: NonNegativeInt = 4_000
+    update_every: PositiveInt = 2
+    measure_every: PositiveInt = 1_000
+
+
+class Sink(Protocol):
+    """Takes what one member collects."""
+
+    def add_episode(self, seed: int, observations: Float32, actions: Float32, physics: Float64) -> None:
+        """One finished episode: its reset seed, observations (T+1, S), actions (T, A), states (T+1, P)."""
+
+    def add_diagnostics(self, row: dict[str, Any]) -> None:
+        """One line of diagnostics."""
+
+
+def run_collection(collector: Collector, config: CollectConfig, domain: Domain, sinks: list[Sink], advance: Callable[[int], None]) -> None:
+    """Collect ``config.steps`` steps for every member. The environment's reward is never even computed.
+
+    Args:
+        collector: E members.
+        config: how much and how often.
+        domain: what is explored.
+        sinks: one for each member.
+        advance: told how many steps have been done since it was last called.
+
+    Raises:
+        RunError: the simulation diverged or a metric is not finite.
+    """
+    seeds, members = collector.seeds, len(collector.seeds)
+    length = domain.episode_length
+    kind = simulator_class(domain.name)
+    model = kind.build_model()
+    simulators = [kind(model) for _ in seeds]
+    first_actions = MemberRandom(seeds, "first actions")
+    replay = None
+    if collector.learns:
+        episodes = math.ceil(config.steps / length)
+        replay = Episodes(
+            members, episodes, episodes * length, domain.observation_size, domain.action_size,
+            MemberRandom(seeds, "replay", collector.device),
+        )  # fmt: skip
+    observations = np.empty((members, length + 1, domain.observation_size), np.float32)
+    actions = np.empty((members, length, domain.action_size), np.float32)
+    physics = np.empty((members, length + 1, domain.physics_size), np.float64)
+    updates, reset_seeds = 0, [0] * members
+
+    for step in range(config.steps):
+        t = step % length
+        if t == 0:
+            for member, simulator in enumerate(simulators):
+                reset_seeds[member] = episode_seed(seeds[member], "environment", step // length)
+                simulator.reset(reset_seeds[member])
+                simulator.observe(observations[member, 0])
+                simulator.state(physics[member, 0])
+        if step < config.seed_steps and collector.learns:
+            chosen = first_actions.uniform(domain.action_size) * 2.0 - 1.0
+        else:
+            chosen = collector.act(torch.from_numpy(observations[:, t]).to(collector.device)).cpu()
+        actions[:, t] = chosen.numpy()
+        for member, simulator in enumerate(simulators):
+            simulator.step(actions[member, t])
+            simulator.observe(observations[member, t + 1])
+            simulator.state(physics[member, t + 1])
+        done = step + 1 == config.steps
+        if t + 1 == length or done:
+            for member, sink in enumerate(sinks):
+                o, a = observations[member, : t + 2], actions[member, : t + 1]
+                sink.add_episode(reset_seeds[member], o, a, physics[member, : t + 2])
+                if replay is not None and t + 1 == length:
+                    replay.add(member, torch.from_numpy(o), torch.from_numpy(a))
+        due = step >= config.seed_steps and step % config.update_every == 0
+        if due and replay is not None and replay.episodes():
+            measure = updates % config.measure_every == 0 or step + config.update_every >= config.steps
+            batch = replay.sample(collector.config.batch_size, collector.horizon, measure)
+            metrics = collector.update(batch)
+            updates += 1
+            if measure:
+                _report(metrics, step + 1, updates, sinks)
+        if t % 200 == 199 or done:
+            advance(200 if t % 200 == 199 else (t + 1) % 200)
+
+
+def _report(metrics: dict[str, torch.Tensor], step: int, updates: int, sinks: list[Sink]) -> None:
+    values = {name: value.tolist() for name, value in metrics.items()}
+    for member, sink in enumerate(sinks):
+        row = {name: value[member] for name, value in values.items()}
+        broken = [name for name, value in row.items() if not math.isfinite(value)]
+        if broken:
+            raise RunError(f"training broke down at step {step}: {', '.join(broken)} is not finite; try a smaller learning_rate.")
+        sink.add_diagnostics({"step": step, "updates": updates} | row)

@@ -1,0 +1,40 @@
+"""cudc-bench: unsupervised data collection, Minari datasets, relabelling, offline RL and a leaderboard around CUDC."""
+
+from __future__ import annotations
+
+import os as _os
+
+# Read once, when MuJoCo or dm_control is first imported: without a display they would try GLFW and complain. Nothing in collection,
+# relabelling or training draws.
+if not _os.environ.get("DISPLAY"):
+    _os.environ.setdefault("MUJOCO_GL", "disabled")
+
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
+if _TYPE_CHECKING:
+    from cudc_bench.data.reader import Transitions as Transitions
+    from cudc_bench.data.reader import load_transitions as load_transitions
+
+__all__ = ["Transitions", "collect", "evaluate", "leaderboard", "load_transitions", "relabel"]
+_STAGES = ("collect", "relabel", "evaluate", "leaderboard")
+
+
+def __getattr__(name: str) -> _Any:
+    """Load a public function when it is first used: importing the package itself is light and needs neither torch nor MuJoCo."""
+    if name in _STAGES:
+        from cudc_bench import plugins
+
+        found = plugins.load("stages", name)
+    elif name in {"Transitions", "load_transitions"}:
+        from cudc_bench.data import reader
+
+        found = getattr(reader, name)
+    else:
+        raise AttributeError(f"module 'cudc_bench' has no attribute '{name}'")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

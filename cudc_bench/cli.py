@@ -1,0 +1,68 @@
+"""The command line: sub-commands are found through entry points, errors end in one line.
+
+Nothing heavy is imported before a command runs, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from cudc_bench import plugins
+from cudc_bench.errors import CudcBenchError
+
+# The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
+_CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+_ORDER = ("collect", "relabel", "evaluate", "leaderboard", "list", "doctor")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"cudc-bench {version('cudc-bench')}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Collect data without rewards, relabel it, train offline on it, and compare."""
+
+
+def build_app() -> typer.Typer:
+    """The application with every installed sub-command, ours first."""
+    app = typer.Typer(name="cudc-bench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    app.callback()(_root)
+    names = plugins.names("commands")
+    for name in sorted(names, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)):
+        app.command(name)(plugins.load("commands", name))
+    return app
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted."""
+    try:
+        code = build_app()(arguments, standalone_mode=False)
+    except CudcBenchError as error:
+        _complain(str(error))
+        code = error.exit_code
+    except _CommandLineError as error:
+        _complain(error.format_message())  # type: ignore[attr-defined]
+        code = 2
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted.")
+        code = 130
+    except BrokenPipeError:
+        code = 1
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(message: str) -> None:
+    print(f"cudc-bench: error: {' '.join(message.split())}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

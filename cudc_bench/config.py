@@ -1,0 +1,110 @@
+"""Hyperparameters: frozen dataclasses, checked by name, type and range, and hashed.
+
+A method's configuration is a frozen dataclass beside the method, whose defaults are the paper's. Ranges are written as
+``Annotated[int, Field(ge=1)]``; pydantic checks them. ``--set name=value`` comes through :func:`parse_settings` and :func:`build`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from cudc_bench.errors import UsageError, nearest
+
+ConfigT = TypeVar("ConfigT")
+
+PositiveInt = Annotated[int, Field(ge=1)]
+NonNegativeInt = Annotated[int, Field(ge=0)]
+PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+def parse_settings(settings: Iterable[str]) -> dict[str, str]:
+    """Split ``name=value`` strings.
+
+    Raises:
+        UsageError: a string without ``=``, without a name, or a name given twice.
+    """
+    values: dict[str, str] = {}
+    for setting in settings:
+        name, separator, value = setting.partition("=")
+        name = name.strip()
+        if not separator or not name:
+            raise UsageError(f"--set takes name=value, not '{setting}'.")
+        if name in values:
+            raise UsageError(f"--set gives '{name}' twice; give it once.")
+        values[name] = value.strip()
+    return values
+
+
+def field_names(config: type) -> list[str]:
+    """The names of a configuration's fields, in their order."""
+    return [field.name for field in dataclasses.fields(config)]
+
+
+def check_settings(settings: Mapping[str, Any], configs: Iterable[type]) -> None:
+    """Refuse a setting that no configuration of this run has.
+
+    Raises:
+        UsageError: names the setting, the nearest match and every allowed name.
+    """
+    allowed = [name for config in configs for name in field_names(config)]
+    for name in settings:
+        if name not in allowed:
+            raise UsageError(f"nothing here is called '{name}'.{nearest(name, allowed)} Allowed: {', '.join(sorted(allowed))}.")
+
+
+def build(config: type[ConfigT], *layers: Mapping[str, Any]) -> ConfigT:
+    """Make a configuration from its defaults and layers of values, later ones winning; names that it lacks are passed over.
+
+    Layers are, in order: the profile, the domain's own values, the user's settings. Strings (from ``--set``) are parsed to the
+    field's type.
+
+    Args:
+        config: the frozen dataclass.
+        layers: mappings from field name to value.
+
+    Raises:
+        UsageError: a value is of the wrong type or out of range; the message names it and what is allowed.
+    """
+    hints = get_type_hints(config, include_extras=True)
+    values: dict[str, Any] = {}
+    for layer in layers:
+        for name, value in layer.items():
+            if name in hints:
+                values[name] = _checked(name, value, hints[name])
+    return config(**values)
+
+
+def _checked(name: str, value: Any, hint: Any) -> Any:
+    adapter: TypeAdapter[Any] = TypeAdapter(hint)
+    try:
+        if isinstance(value, str):
+            # A list or tuple is written as JSON on the command line, everything else as it is.
+            return adapter.validate_json(value) if value[:1] == "[" else adapter.validate_strings(value)
+        return adapter.validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(f"'{name}' cannot be {value!r}: {first['msg'][0].lower()}{first['msg'][1:]}.") from None
+
+
+def as_dict(*configs: Any) -> dict[str, Any]:
+    """All values of some configurations in one JSON-ready mapping; their names must not overlap."""
+    merged: dict[str, Any] = {}
+    for config in configs:
+        for name, value in dataclasses.asdict(config).items():
+            if name in merged:
+                raise ValueError(f"two configurations of one run have a field '{name}'")
+            merged[name] = list(value) if isinstance(value, tuple) else value
+    return merged
+
+
+def config_hash(values: Mapping[str, Any]) -> str:
+    """The first 16 hexadecimal digits of the SHA-256 over the values in canonical JSON."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:16]

@@ -1,0 +1,187 @@
+"""Reads datasets into flat, contiguous arrays in one pass.
+
+Minari decodes every episode into objects and cannot sample transitions; training needs arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cudc_bench.data.writer import MAIN_FILE
+from cudc_bench.errors import RunError
+from cudc_bench.ids import DatasetId, dataset_path, parse_id
+from cudc_bench.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class FlatEpisodes:
+    """All episodes of a dataset, one after the other.
+
+    Attributes:
+        arrays: field name to array. Fields with a row for the reset (``observations``, ``infos/…``) have T+1 rows an episode, the
+            others T.
+        lengths: (episodes,) T of each.
+        manifest: what the dataset is.
+    """
+
+    arrays: dict[str, Array]
+    lengths: NDArray[np.int64]
+    manifest: Manifest
+
+    def rows(self, name: str) -> NDArray[np.int64]:
+        """Rows that each episode has in a field (episodes,)."""
+        return self.lengths + 1 if has_reset_row(name) else self.lengths
+
+    def split(self, name: str) -> list[Array]:
+        """A field's array cut into its episodes, without copying."""
+        return np.split(self.arrays[name], np.cumsum(self.rows(name))[:-1])
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """One-step transitions of N steps in collection order; row i never crosses an episode's end.
+
+    Attributes:
+        observations: s (N, S) float32.
+        actions: a (N, A) float32.
+        rewards: r (N,) float32; zeros in a task-agnostic dataset.
+        next_observations: s' (N, S) float32.
+        terminations: (N,) bool, always False in these domains.
+        truncations: (N,) bool, True at the last step of each episode.
+        episodes: (N,) int64, the episode of each row.
+    """
+
+    observations: Array
+    actions: Array
+    rewards: Array
+    next_observations: Array
+    terminations: Array
+    truncations: Array
+    episodes: Array
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+
+def has_reset_row(name: str) -> bool:
+    """Whether a field has one row more than the episode has steps."""
+    return name == "observations" or name.startswith("infos/")
+
+
+def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Path | None = None) -> FlatEpisodes:
+    """Read some fields of a dataset.
+
+    Args:
+        dataset_id: which dataset.
+        fields: such as ``("observations", "actions", "infos/physics")``.
+        root: Minari's root unless given.
+
+    Raises:
+        UsageError: no such dataset, or not one of ours.
+        RunError: the base of a linked dataset is missing or another one, or the file is damaged.
+    """
+    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
+    manifest = read_manifest(checked, root)
+    check_base(manifest, checked, root)
+    path = dataset_path(checked, root) / "data" / MAIN_FILE
+    try:
+        with h5py.File(path, "r") as file:
+            groups = [file[f"episode_{index}"] for index in range(manifest.episodes)]
+            lengths = np.array([group.attrs["total_steps"] for group in groups], np.int64)
+            arrays = {name: _read_field(groups, name, lengths) for name in fields}
+    except (OSError, KeyError) as error:
+        raise RunError(f"the data of '{checked}' cannot be read ({path}): {str(error).splitlines()[0]}.") from None
+    return FlatEpisodes(arrays, lengths, manifest)
+
+
+def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64]) -> Array:
+    extra = 1 if has_reset_row(name) else 0
+    first = groups[0][name]
+    out = np.empty((int((lengths + extra).sum()), *first.shape[1:]), first.dtype)
+    leaf, start = name.encode(), 0
+    for group, length in zip(groups, lengths, strict=True):
+        # Low-level: opening each dataset through h5py's objects would take three times as long as reading it.
+        dataset = h5py.h5d.open(group.id, leaf)
+        end = start + int(length) + extra
+        if dataset.shape != (end - start, *out.shape[1:]):
+            raise KeyError(f"{group.name}/{name} has shape {dataset.shape}, expected {(end - start, *out.shape[1:])}")
+        dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out[start:end])
+        start = end
+    return out
+
+
+def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = None) -> None:
+    """Check that the dataset which a linked one takes its arrays from is there and is the same one.
+
+    Raises:
+        RunError: it is missing or has another fingerprint.
+    """
+    base = manifest.base
+    if base is None or not base.linked:
+        return
+    if not exists(base.id, root):
+        raise RunError(f"'{dataset_id}' links to '{base.id}', which is missing; collect it again or relabel with --standalone.")
+    if read_manifest(base.id, root).fingerprint != base.fingerprint:
+        raise RunError(f"'{dataset_id}' was made from another '{base.id}'; relabel again with --overwrite.")
+
+
+def load_transitions(dataset_id: DatasetId | str, *, verify: bool = False, root: str | Path | None = None) -> Transitions:
+    """Read a dataset as one-step transitions.
+
+    Args:
+        dataset_id: such as ``"walker/walk/cudc-v0"``.
+        verify: compute the fingerprint anew and compare it with the manifest's.
+        root: Minari's root unless given.
+
+    Raises:
+        UsageError: no such dataset, or not one of ours.
+        RunError: the data are damaged, the base is missing, or (with ``verify``) the fingerprint does not fit.
+    """
+    place = None if root is None else Path(root)
+    names = ("observations", "actions", "rewards", "terminations", "truncations")
+    if verify:
+        verify_fingerprint(dataset_id, place)
+    flat = load_episodes(dataset_id, names, place)
+    ends = np.cumsum(flat.lengths + 1) - 1
+    first = np.ones(len(flat.arrays["observations"]), np.bool_)
+    first[ends] = False
+    following = np.roll(first, 1)
+    return Transitions(
+        observations=flat.arrays["observations"][first],
+        actions=flat.arrays["actions"],
+        rewards=flat.arrays["rewards"],
+        next_observations=flat.arrays["observations"][following],
+        terminations=flat.arrays["terminations"],
+        truncations=flat.arrays["truncations"],
+        episodes=np.repeat(np.arange(len(flat.lengths)), flat.lengths),
+    )
+
+
+def verify_fingerprint(dataset_id: DatasetId | str, root: Path | None = None) -> str:
+    """Hash a dataset's arrays and compare with its manifest.
+
+    Returns:
+        The fingerprint.
+
+    Raises:
+        RunError: they differ; the message names the fields.
+    """
+    manifest = read_manifest(dataset_id, root)
+    flat = load_episodes(dataset_id, tuple(manifest.fields), root)
+    hasher = FieldHasher()
+    for name in manifest.fields:
+        for array in flat.split(name):
+            hasher.update(name, array)
+    found = hasher.digests()
+    changed = [name for name, digest in found.items() if digest != manifest.fields[name]]
+    if changed or fingerprint(found) != manifest.fingerprint:
+        raise RunError(f"'{dataset_id}' does not fit its fingerprint: {', '.join(changed) or 'the manifest'} changed after it was made.")
+    return manifest.fingerprint

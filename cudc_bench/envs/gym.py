@@ -1,0 +1,69 @@
+"""The Gymnasium face of a simulator, for users and for ``dataset.recover_environment()``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from cudc_bench.envs.domains import check_domain, check_tasks, reward_function, simulator_class
+from cudc_bench.envs.simulator import Float32
+
+
+def observation_space(domain: str) -> Box:
+    """Flat, unbounded float32 observations (S,)."""
+    return Box(-np.inf, np.inf, (check_domain(domain).observation_size,), np.float32)
+
+
+def action_space(domain: str) -> Box:
+    """Actions (A,) in [-1, 1], float32."""
+    return Box(-1.0, 1.0, (check_domain(domain).action_size,), np.float32)
+
+
+class SimulatorEnv(gymnasium.Env[Float32, Float32]):
+    """A domain, reward-free or with one task's reward.
+
+    The time limit is Gymnasium's ``TimeLimit`` (part of the registered id); the environment itself never ends an episode.
+    ``info["physics"]`` is the float64 state (P,) after the step.
+
+    Args:
+        domain: such as ``"walker"``.
+        task: such as ``"walk"``; None gives reward 0.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own attribute
+
+    def __init__(self, domain: str, task: str | None = None) -> None:
+        facts = check_domain(domain)
+        self._task = None if task is None else facts.tasks.index(check_tasks(facts, [task])[0])
+        self._rewards = reward_function(domain)
+        self._simulator = simulator_class(domain)()
+        self._quantities = np.empty(len(self._simulator.quantity_names), np.float64)
+        self._facts = facts
+        self.observation_space = observation_space(domain)
+        self.action_space = action_space(domain)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Float32, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._simulator.reset(int(self.np_random.integers(2**32)) if seed is None else seed)
+        return self._observation(), self._info()
+
+    def step(self, action: Float32) -> tuple[Float32, float, bool, bool, dict[str, Any]]:
+        self._simulator.step(action)
+        reward = 0.0
+        if self._task is not None:
+            self._simulator.quantities(self._quantities)
+            reward = float(self._rewards(self._quantities)[self._task])
+        return self._observation(), reward, False, False, self._info()
+
+    def _observation(self) -> Float32:
+        observation = np.empty(self._facts.observation_size, np.float32)
+        self._simulator.observe(observation)
+        return observation
+
+    def _info(self) -> dict[str, Any]:
+        state = np.empty(self._facts.physics_size, np.float64)
+        self._simulator.state(state)
+        return {"physics": state}

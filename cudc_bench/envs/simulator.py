@@ -1,0 +1,131 @@
+"""The thin layer over raw MuJoCo that all fast environments share.
+
+It does what ``dm_control.rl.control.Environment`` does, in the same order and bit for bit, without its named indexing, observation
+dictionaries and time steps. The tests hold it against dm_control.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cudc_bench.envs.domains import Domain
+from cudc_bench.errors import RunError
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+class DivergedError(RunError):
+    """MuJoCo met a non-finite or huge number; by itself it would have teleported to the initial state and gone on."""
+
+
+class Simulator(ABC):
+    """One simulated body. Subclasses give the model, the reset, the observation and the physical quantities of the rewards.
+
+    Several simulators may share one compiled model: pass ``model``.
+
+    Attributes:
+        domain: the domain's fixed facts.
+        substeps: physics steps in a control step.
+        quantity_names: the Q physical quantities that rewards are functions of.
+        model: the compiled MuJoCo model, read only.
+        data: the MuJoCo state.
+    """
+
+    domain: ClassVar[Domain]
+    substeps: ClassVar[int]
+    quantity_names: ClassVar[tuple[str, ...]]
+
+    def __init__(self, model: mujoco.MjModel | None = None) -> None:
+        self.model = self.build_model() if model is None else model
+        self.data = mujoco.MjData(self.model)
+        self._warnings = self.data.warning.number
+        self._state_kind = mujoco.mjtState.mjSTATE_PHYSICS
+
+    @classmethod
+    @abstractmethod
+    def build_model(cls) -> mujoco.MjModel:
+        """Compile dm_control's own model of this domain."""
+
+    @abstractmethod
+    def initialise(self, random: np.random.RandomState) -> None:
+        """Draw the initial state as dm_control's ``initialize_episode`` does, from a freshly reset ``data``."""
+
+    @abstractmethod
+    def observe(self, out: Float32) -> None:
+        """Write the flat observation (S,) in dm_control's order, cast to float32."""
+
+    @abstractmethod
+    def quantities(self, out: Float64) -> None:
+        """Write the physical quantities (Q,) that the domain's rewards are functions of."""
+
+    def reset(self, seed: int) -> None:
+        """Start an episode from ``numpy.random.RandomState(seed)``; equals dm_control's reset with ``random=seed``.
+
+        Args:
+            seed: 0 or more; values of 2**32 and above are split into 32-bit words.
+        """
+        self.restart(random_state(seed))
+
+    def restart(self, random: np.random.RandomState) -> None:
+        """Start an episode from a generator that lives on between episodes, as dm_control's does."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._forward_without_actuation()
+        self.initialise(random)
+        self._forward_without_actuation()
+
+    def step(self, action: Float32 | Float64) -> None:
+        """Apply an action (A,) in [-1, 1] for one control step.
+
+        Raises:
+            DivergedError: the simulation became unstable.
+        """
+        data, model = self.data, self.model
+        data.ctrl[:] = action
+        # dm_control's order: positions and velocities are already up to date, and are left so at the end.
+        mujoco.mj_step2(model, data)
+        if self.substeps > 1:
+            mujoco.mj_step(model, data, self.substeps - 1)
+        mujoco.mj_step1(model, data)
+        if self._warnings.any():
+            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
+            raise DivergedError(f"the {self.domain.name} simulation diverged ({', '.join(names)}); run again with another seed.")
+
+    def state(self, out: Float64) -> None:
+        """Write the physics state (P,): positions, velocities and activations."""
+        mujoco.mj_getState(self.model, self.data, out, self._state_kind)
+
+    def _forward_without_actuation(self) -> None:
+        flags = self.model.opt.disableflags
+        self.model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+        mujoco.mj_forward(self.model, self.data)
+        self.model.opt.disableflags = flags
+
+
+def random_state(seed: int) -> np.random.RandomState:
+    """A legacy generator from a seed of any size; below 2**32 it is ``RandomState(seed)``, as in dm_control."""
+    if seed < 2**32:
+        return np.random.RandomState(seed)
+    words = []
+    while seed:
+        words.append(seed & 0xFFFFFFFF)
+        seed >>= 32
+    return np.random.RandomState(words)
+
+
+def tolerance_above(x: Float64, bound: float, margin: float, value_at_margin: float) -> Float64:
+    """dm_control's ``rewards.tolerance`` with bounds [bound, inf) and the linear sigmoid, vectorised."""
+    distance = (bound - x) / margin * (1.0 - value_at_margin)
+    return np.where(x >= bound, 1.0, np.where(np.abs(distance) < 1.0, 1.0 - distance, 0.0))
+
+
+def gaussian_above(x: Float64, bound: float, margin: float, value_at_margin: float = 0.1) -> Float64:
+    """dm_control's ``rewards.tolerance`` with bounds [bound, inf) and the Gaussian sigmoid, vectorised."""
+    distance = (bound - x) / margin
+    scale = np.sqrt(-2.0 * np.log(value_at_margin))
+    return np.where(x >= bound, 1.0, np.exp(-0.5 * (distance * scale) ** 2))

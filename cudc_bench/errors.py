@@ -1,0 +1,45 @@
+"""The two ways in which a command ends badly, each one line long.
+
+``UsageError`` is the user's mistake, refused before any work starts (exit code 2); ``RunError`` is a failure during the work
+(exit code 1). The command line prints their text and nothing else; from Python they are ordinary exceptions.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class CudcBenchError(Exception):
+    """Base of the errors that carry a complete, one-line message for people."""
+
+    exit_code = 1
+
+
+class UsageError(CudcBenchError):
+    """A value that was given is not allowed; the message names it, what is allowed, and what to do."""
+
+    exit_code = 2
+
+
+class RunError(CudcBenchError):
+    """Work that had started could not be finished; what was complete before is kept."""
+
+
+def nearest(value: str, allowed: Iterable[str]) -> str:
+    """Return ``" Did you mean 'x'?"`` for the closest allowed value, or an empty string when nothing is close."""
+    matches = difflib.get_close_matches(value, list(allowed), n=1, cutoff=0.5)
+    return f" Did you mean '{matches[0]}'?" if matches else ""
+
+
+def unknown(kind: str, value: str, allowed: Iterable[str]) -> UsageError:
+    """The one refusal for a name that is not in a set of names.
+
+    Args:
+        kind: what the name stands for, such as ``"method"``.
+        value: the name that was given.
+        allowed: the names that exist.
+    """
+    names = sorted(allowed)
+    listed = ", ".join(names) if names else "none installed"
+    return UsageError(f"unknown {kind} '{value}'; allowed: {listed}.{nearest(value, names)}")

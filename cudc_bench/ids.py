@@ -1,0 +1,71 @@
+"""Dataset ids: how they are spelled, checked, and mapped to folders.
+
+``walker/cudc-v0`` is seed 1, ``walker/cudc-seed2-v0`` the next; ``walker/walk/cudc-v0`` is the same data relabelled for a task.
+Names are for people: code reads the manifest. The grammar is stricter than Minari's, since one malformed folder below the dataset
+root makes Minari unable to list any dataset at all.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from cudc_bench.errors import UsageError
+
+_ID = re.compile(
+    r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
+)
+_RULE = "lower-case letters, digits, '_' and '-', as in 'walker/cudc-v0' or 'walker/walk/cudc-seed2-v0'"
+
+
+@dataclass(frozen=True)
+class DatasetId:
+    """A checked dataset id.
+
+    Attributes:
+        namespace: one or more path components, such as ``"walker"`` or ``"walker/walk"``.
+        name: the name without its version, such as ``"cudc-seed2"``.
+        version: the number behind ``-v``.
+    """
+
+    namespace: str
+    name: str
+    version: int
+
+    def __str__(self) -> str:
+        return f"{self.namespace}/{self.name}-v{self.version}"
+
+    def for_task(self, task: str) -> DatasetId:
+        """The id of this dataset relabelled for a task: ``walker/cudc-v0`` becomes ``walker/walk/cudc-v0``."""
+        return DatasetId(f"{self.namespace}/{task}", self.name, self.version)
+
+
+def parse_id(text: str) -> DatasetId:
+    """Check an id before it can become a path.
+
+    Raises:
+        UsageError: the id is not of the form ``namespace/name-vN``.
+    """
+    match = _ID.fullmatch(text)
+    if match is None or not text.isascii():
+        raise UsageError(f"'{text}' is not a dataset id; allowed: namespace/name-vN in {_RULE}.")
+    return DatasetId(match["namespace"], match["name"], int(match["version"]))
+
+
+def default_id(domain: str, method: str, seed: int) -> DatasetId:
+    """The id under which ``collect`` stores a dataset unless told otherwise; seed 1 has the plain name."""
+    suffix = "" if seed == 1 else f"-seed{seed}"
+    return parse_id(f"{domain}/{method}{suffix}-v0")
+
+
+def datasets_root() -> Path:
+    """Minari's dataset root: ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``, read at each call as Minari does."""
+    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
+
+
+def dataset_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:
+    """The folder of a dataset (which holds ``data/``), whether or not it exists."""
+    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
+    return (root or datasets_root()).joinpath(*str(checked).split("/"))

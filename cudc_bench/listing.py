@@ -1,0 +1,102 @@
+"""``cudc-bench list``: what can be collected and evaluated, and what exists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def list_command(
+    results: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
+) -> None:
+    """Show methods, domains, algorithms, profiles, datasets and records."""
+    from rich.console import Console
+
+    console = Console()
+    for table in (_methods(), _domains(), _algorithms(), _profiles(), _datasets()):
+        console.print(table)
+    folder = Path(results)
+    count = sum(1 for _ in folder.rglob("*.json")) if folder.is_dir() else 0
+    console.print(f"Records in {folder}: {count}", markup=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _methods() -> Table:
+    from cudc_bench import plugins
+
+    table = _table("Collectors (--method)", "name", "family", "citation")
+    for name in plugins.names("collectors"):
+        kind = plugins.load("collectors", name)
+        table.add_row(name, kind.family, kind.citation)
+    return table
+
+
+def _domains() -> Table:
+    from cudc_bench.envs import DOMAINS
+
+    table = _table("Domains (--domain)", "name", "tasks", "observation", "action", "steps an episode")
+    for domain in DOMAINS.values():
+        sizes = (domain.observation_size, domain.action_size, domain.episode_length)
+        table.add_row(domain.name, ", ".join(domain.tasks), *map(str, sizes))
+    return table
+
+
+def _algorithms() -> Table:
+    from cudc_bench import plugins
+
+    table = _table("Offline algorithms (--algo)", "name", "citation")
+    for name in plugins.names("evaluators"):
+        table.add_row(name, plugins.load("evaluators", name).citation)
+    return table
+
+
+def _profiles() -> Table:
+    from cudc_bench.profiles import PROFILES, resolve_profile
+
+    table = _table(f"Profiles (--profile; auto is {resolve_profile('auto').name} here)", "name", "purpose")
+    for profile in PROFILES.values():
+        table.add_row(profile.name, profile.purpose)
+    return table
+
+
+def _datasets() -> Table:
+    from rich.markup import escape
+
+    from cudc_bench.errors import CudcBenchError
+    from cudc_bench.ids import datasets_root, parse_id
+    from cudc_bench.manifest import read_manifest
+
+    root = datasets_root()
+    table = _table(f"Datasets in {root}", "id", "method", "task", "profile", "seed", "steps", "size")
+    for path in sorted(root.rglob("data/metadata.json")):
+        name = path.parents[1].relative_to(root).as_posix()
+        if any(part.startswith(".") for part in name.split("/")):
+            continue
+        try:
+            manifest = read_manifest(parse_id(name))
+        except CudcBenchError:
+            continue
+        size = sum(file.stat().st_size for file in path.parents[1].rglob("*") if file.is_file())
+        columns = (
+            name,
+            manifest.method,
+            manifest.task or "–",
+            manifest.profile,
+            str(manifest.seed),
+            f"{manifest.steps:,}",
+        )
+        table.add_row(*(escape(column) for column in columns), f"{size / 1e6:,.1f} MB")
+    return table

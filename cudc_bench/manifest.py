@@ -1,0 +1,150 @@
+"""The manifest: what a dataset is and where it came from, kept in its Minari metadata under one key.
+
+The fingerprint is a hash of hashes. Each field (observations, actions, rewards, …) has a SHA-256 over its episodes in order; the
+dataset's fingerprint is the SHA-256 over those. A relabelled dataset differs from its base in one field only, so its fingerprint is
+known without reading the base again, and is the same whether it links to the base or is a standalone copy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cudc_bench.errors import RunError, UsageError
+from cudc_bench.ids import DatasetId, dataset_path
+
+KEY = "cudc_bench"
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class Base(BaseModel):
+    """The task-agnostic dataset that a relabelled one was made from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: str
+    fingerprint: _Sha256
+    linked: bool
+
+
+class Manifest(BaseModel):
+    """What a dataset is.
+
+    Attributes:
+        schema_version: of this format.
+        domain, task, method, seed: what was collected; ``task`` is None for a task-agnostic dataset, whose rewards are all 0.
+        steps, episodes: sizes.
+        profile, overrides: the named set of hyperparameters, and what differs from it.
+        hyperparameters, hyperparameters_hash: all values.
+        fields: SHA-256 of each field; ``fingerprint``: of all of them.
+        base: of a relabelled dataset.
+        diagnostics: the last line of the collection's diagnostics and the method's own summary.
+        versions, commit, dirty, machine, seconds, created, command: provenance.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    domain: str
+    task: str | None = None
+    method: str
+    seed: int
+    steps: int
+    episodes: int
+    profile: str
+    overrides: dict[str, Any] = {}
+    hyperparameters: dict[str, Any]
+    hyperparameters_hash: str
+    fields: dict[str, _Sha256]
+    fingerprint: _Sha256
+    base: Base | None = None
+    diagnostics: dict[str, Any] = {}
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    seconds: float
+    created: str
+    command: str
+
+    def describe(self) -> str:
+        """What is there, in a few words, for messages: method, profile, seed, steps."""
+        changed = " with " + ", ".join(f"{k}={v}" for k, v in sorted(self.overrides.items())) if self.overrides else ""
+        return f"{self.method}, profile {self.profile}{changed}, seed {self.seed}, {self.steps:,} steps"
+
+
+class FieldHasher:
+    """Hashes the fields of a dataset as its episodes are written or read, in order."""
+
+    def __init__(self) -> None:
+        self._hashes: dict[str, Any] = {}
+
+    def update(self, name: str, array: NDArray[Any]) -> None:
+        """Add one episode's array of a field; its dtype and shape count, too."""
+        digest = self._hashes.setdefault(name, hashlib.sha256())
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of each field, by name."""
+        return {name: digest.hexdigest() for name, digest in sorted(self._hashes.items())}
+
+
+def fingerprint(fields: dict[str, str]) -> str:
+    """The dataset's fingerprint from the hashes of its fields."""
+    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+
+
+def metadata_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:
+    """Minari's metadata file of a dataset."""
+    return dataset_path(dataset_id, root) / "data" / "metadata.json"
+
+
+def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
+    """Whether anything stands at that id, ours or not."""
+    return dataset_path(dataset_id, root).exists()
+
+
+def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Manifest:
+    """Read a dataset's manifest.
+
+    Raises:
+        UsageError: there is no such dataset, or it is not one of ours.
+        RunError: its metadata is damaged.
+    """
+    path = metadata_path(dataset_id, root)
+    try:
+        metadata = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError(f"there is no dataset '{dataset_id}' in {path.parents[3 if '/' in str(dataset_id) else 2]}.") from None
+    except (OSError, ValueError) as error:
+        raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
+    if not isinstance(metadata, dict) or KEY not in metadata:
+        raise UsageError(f"'{dataset_id}' was not made by cudc-bench: it has no manifest.")
+    try:
+        return Manifest.model_validate(metadata[KEY])
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RunError(f"the manifest of '{dataset_id}' is damaged: {where}: {first['msg']}.") from None
+
+
+def check_free(dataset_id: DatasetId, overwrite: bool, root: Path | None = None) -> None:
+    """Refuse to replace an existing dataset unless told to.
+
+    Raises:
+        UsageError: the id is taken; the message says by what, and the ways out.
+    """
+    if overwrite or not exists(dataset_id, root):
+        return
+    try:
+        there = read_manifest(dataset_id, root).describe()
+    except (UsageError, RunError):
+        there = "not a dataset of cudc-bench"
+    raise UsageError(f"'{dataset_id}' exists ({there}); use --overwrite, --dataset-id or another --seed.")

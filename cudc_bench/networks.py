@@ -1,0 +1,225 @@
+"""Stacked networks: E independent members side by side, member axis first.
+
+Parameters are (E, in, out), batches (E, B, dim). Every operation is a batched one, so a member never sees another: with losses summed
+over E, gradients and Adam stay independent. E=1 is the ordinary case. Weights are drawn from each member's own generator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from cudc_bench.seeding import stream_seed
+
+
+class MemberRandom:
+    """One random stream for each member, for one purpose.
+
+    Args:
+        seeds: the E members' seeds.
+        purpose: what is drawn; streams of different purposes are independent.
+        device: where the numbers are drawn.
+    """
+
+    def __init__(self, seeds: Sequence[int], purpose: str, device: torch.device | str = "cpu") -> None:
+        self.device = torch.device(device)
+        self.generators = [torch.Generator(self.device).manual_seed(stream_seed(seed, purpose)) for seed in seeds]
+
+    @property
+    def count(self) -> int:
+        """E, the number of members."""
+        return len(self.generators)
+
+    def normal(self, *shape: int) -> Tensor:
+        """Standard normal float32 numbers (E, *shape)."""
+        out = torch.empty((self.count, *shape), device=self.device)
+        for row, generator in zip(out, self.generators, strict=True):
+            row.normal_(generator=generator)
+        return out
+
+    def uniform(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Numbers in [0, 1) of shape (E, *shape)."""
+        out = torch.empty((self.count, *shape), device=self.device, dtype=dtype)
+        for row, generator in zip(out, self.generators, strict=True):
+            row.uniform_(generator=generator)
+        return out
+
+    def state_dict(self) -> list[Tensor]:
+        """The state of each member's generator."""
+        return [generator.get_state() for generator in self.generators]
+
+    def load_state_dict(self, state: Sequence[Tensor]) -> None:
+        """Continue where ``state_dict`` was taken."""
+        for generator, value in zip(self.generators, state, strict=True):
+            generator.set_state(value.cpu())
+
+
+class Linear(nn.Module):
+    """E linear layers with orthogonal weights (gain 1) and zero biases.
+
+    Args:
+        random: the members' streams for initial weights.
+        inputs: size of the input.
+        outputs: size of the output.
+        blocks: the output is this many blocks that are initialised separately, as if they were layers of their own.
+    """
+
+    def __init__(self, random: MemberRandom, inputs: int, outputs: int, blocks: int = 1) -> None:
+        super().__init__()
+        weight = torch.empty(random.count, inputs, outputs, device=random.device)
+        for member, generator in zip(weight, random.generators, strict=True):
+            for block in member.chunk(blocks, dim=1):
+                drawn = torch.empty(block.shape[1], block.shape[0], device=random.device)
+                block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)
+        self.weight = nn.Parameter(weight)
+        self.bias = nn.Parameter(torch.zeros(random.count, 1, outputs, device=random.device))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(E, B, inputs) -> (E, B, outputs)."""
+        return torch.baddbmm(self.bias, x, self.weight)
+
+
+class LayerNorm(nn.Module):
+    """E layer normalisations with their own scale and shift."""
+
+    def __init__(self, random: MemberRandom, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.weight = nn.Parameter(torch.ones(random.count, 1, size, device=random.device))
+        self.bias = nn.Parameter(torch.zeros(random.count, 1, size, device=random.device))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(E, B, size) -> (E, B, size)."""
+        return torch.addcmul(self.bias, F.layer_norm(x, (self.size,)), self.weight)
+
+
+class Activation(nn.Module):
+    """An element-wise function as a layer."""
+
+    def __init__(self, function: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.function(x)
+
+
+def mlp(random: MemberRandom, *sizes: int, output: Callable[[Tensor], Tensor] | None = None) -> nn.Sequential:
+    """Linear layers of the given sizes with ReLU between them, and ``output`` applied at the end (none: linear)."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(sizes):
+        layers += [Linear(random, inputs, outputs), Activation(torch.relu_)]
+    layers.pop()
+    if output is not None:
+        layers.append(Activation(output))
+    return nn.Sequential(*layers)
+
+
+def trunk(random: MemberRandom, inputs: int, outputs: int) -> nn.Sequential:
+    """Linear, LayerNorm, tanh: the first layer of every actor and critic of URLB and ExORL."""
+    return nn.Sequential(Linear(random, inputs, outputs), LayerNorm(random, outputs), Activation(torch.tanh))
+
+
+def actor(random: MemberRandom, observation: int, action: int, width: int) -> nn.Sequential:
+    """The policy's mean: trunk, hidden layer, tanh. (E, B, S) -> (E, B, A) in (-1, 1)."""
+    return nn.Sequential(trunk(random, observation, width), *mlp(random, width, width, action, output=torch.tanh))
+
+
+class SharedTrunkCritic(nn.Module):
+    """Twin critics on one trunk, as in URLB's DDPG. The heads are computed as one wide layer."""
+
+    head_mask: Tensor
+
+    def __init__(self, random: MemberRandom, inputs: int, width: int) -> None:
+        super().__init__()
+        self.trunk = trunk(random, inputs, width)
+        self.hidden = Linear(random, width, 2 * width, blocks=2)
+        # Head j reads only its own half of the hidden layer: the other half of its column is masked and starts at zero.
+        self.out = Linear(random, width, 2, blocks=2)
+        mask = torch.zeros(1, 2 * width, 2, device=random.device)
+        mask[:, :width, 0] = 1.0
+        mask[:, width:, 1] = 1.0
+        self.register_buffer("head_mask", mask, persistent=False)
+        self.out.weight = nn.Parameter(torch.cat([self.out.weight.detach()] * 2, dim=1) * mask)
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(E, B, S), (E, B, A) -> both values (E, B, 2)."""
+        hidden = torch.relu_(self.hidden(self.trunk(torch.cat([observation, action], dim=-1))))
+        return torch.baddbmm(self.out.bias, hidden, self.out.weight * self.head_mask)
+
+
+class TwinCritic(nn.Module):
+    """Two separate critics, as in ExORL's offline learners; the twin axis is folded into the member axis."""
+
+    def __init__(self, random: MemberRandom, inputs: int, width: int) -> None:
+        super().__init__()
+        twins = MemberRandom([], "twins", random.device)
+        # The twins of a member draw one after the other from its own stream.
+        twins.generators = [generator for generator in random.generators for _ in range(2)]
+        self.layers = nn.Sequential(trunk(twins, inputs, width), *mlp(twins, width, width, 1))
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(E, B, S), (E, B, A) -> both values (E, B, 2)."""
+        x = torch.cat([observation, action], dim=-1).repeat_interleave(2, dim=0)
+        return self.layers(x).view(observation.shape[0], 2, -1).transpose(1, 2)
+
+
+@contextmanager
+def frozen(module: nn.Module) -> Iterator[None]:
+    """Within this context no gradient is computed for the module's weights; it still flows through to its inputs."""
+    parameters = list(module.parameters())
+    for parameter in parameters:
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in parameters:
+            parameter.requires_grad_(True)
+
+
+def adam(modules: Sequence[nn.Module | nn.Parameter], learning_rate: float) -> torch.optim.Adam:
+    """One fused Adam with the default betas over some modules' parameters."""
+    parameters: list[nn.Parameter] = []
+    for module in modules:
+        parameters += [module] if isinstance(module, nn.Parameter) else list(module.parameters())
+    return torch.optim.Adam(parameters, lr=learning_rate, fused=True)
+
+
+def minimise(loss: Tensor, optimiser: torch.optim.Optimizer) -> None:
+    """One optimiser step on the sum of the members' losses (E,)."""
+    optimiser.zero_grad(set_to_none=True)
+    loss.sum().backward()
+    optimiser.step()
+
+
+def make_target(online: nn.Module, target: nn.Module) -> nn.Module:
+    """Turn ``target`` (built like ``online``) into its exact copy that takes no gradient."""
+    target.load_state_dict(online.state_dict())
+    return target.requires_grad_(False)
+
+
+@torch.no_grad()
+def soft_update(online: nn.Module, target: nn.Module, tau: float) -> None:
+    """target <- (1 - tau) target + tau online, for every parameter."""
+    torch._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
+
+
+def noisy_action(mean: Tensor, noise: Tensor, std: float, clip: float | None) -> Tensor:
+    """URLB's "truncated normal" action: clamped to just inside [-1, 1], with the gradient passed straight through the clamp.
+
+    Args:
+        mean: (E, B, A).
+        noise: standard normal, of the same shape.
+        std: standard deviation.
+        clip: bound of the scaled noise; None when acting.
+    """
+    scaled = noise * std
+    if clip is not None:
+        scaled = scaled.clamp(-clip, clip)
+    action = mean + scaled
+    return action + (action.clamp(-1.0 + 1e-6, 1.0 - 1e-6) - action).detach()

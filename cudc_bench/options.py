@@ -1,0 +1,83 @@
+"""The options that every command spells the same way."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cudc_bench.errors import UsageError
+
+DomainOption = Annotated[str, typer.Option("--domain", help="What is explored.")]
+MethodOption = Annotated[str, typer.Option("--method", help="Collector, or several separated by commas.")]
+TasksOption = Annotated[str, typer.Option("--tasks", "--task", help="Tasks separated by commas, or 'all'.")]
+AlgoOption = Annotated[str, typer.Option("--algo", help="Offline algorithm.")]
+SeedsOption = Annotated[str, typer.Option("--seeds", "--seed", help="Seeds, such as 1 or 1-5 or 1,3.")]
+ProfileOption = Annotated[
+    str,
+    typer.Option("--profile", envvar="CUDC_BENCH_PROFILE", help="Set of hyperparameters: paper, cpu, demo, smoke, or auto."),
+]
+SetOption = Annotated[list[str] | None, typer.Option("--set", help="Override one hyperparameter: name=value. Repeatable.")]
+DatasetIdOption = Annotated[str | None, typer.Option("--dataset-id", help="Id of the dataset, instead of the default one.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace what exists.")]
+DeviceOption = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto.")]
+WorkersOption = Annotated[int | None, typer.Option("--workers", help="Processes on a CPU; one for each core by default.")]
+
+_RANGE = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """``"1-3,7"`` -> (1, 2, 3, 7), without repeats.
+
+    Raises:
+        UsageError: it is not a list of numbers and ranges, or has more than 1,000 seeds.
+    """
+    seeds: dict[int, None] = {}
+    for part in text.split(","):
+        match = _RANGE.fullmatch(part.strip())
+        if match is None or not part.isascii():
+            raise UsageError(f"--seeds cannot be '{text}'; give numbers and ranges, such as 1 or 1-5 or 1,3.")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if last < first or last - first >= 1000:
+            raise UsageError(f"--seeds cannot have the range '{part.strip()}'; it must ascend, over at most 1,000 seeds.")
+        seeds |= dict.fromkeys(range(first, last + 1))
+    return tuple(seeds)
+
+
+def parse_names(text: str) -> tuple[str, ...]:
+    """``"stand, walk"`` -> ("stand", "walk"), without repeats or empty parts."""
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+def parse_tasks(text: str) -> tuple[str, ...] | None:
+    """Names of tasks, or None for ``all``."""
+    return None if text.strip() == "all" else parse_names(text)
+
+
+def check_folder(path: str | Path, what: str) -> Path:
+    """Refuse a folder that cannot be written before any work starts; it is not made yet.
+
+    Raises:
+        UsageError: it is a file, or cannot be written.
+    """
+    folder = Path(path)
+    nearest = folder
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        raise UsageError(f"{what} '{folder}' cannot be a folder: '{nearest}' is a file.")
+    if not os.access(nearest, os.W_OK):
+        raise UsageError(f"{what} '{folder}' cannot be written.")
+    return folder
+
+
+def format_seeds(seeds: Sequence[int]) -> str:
+    """The shortest way to write some seeds as ``--seeds``."""
+    ordered = sorted(seeds)
+    if len(ordered) > 2 and ordered == list(range(ordered[0], ordered[-1] + 1)):
+        return f"{ordered[0]}-{ordered[-1]}"
+    return ",".join(map(str, ordered))

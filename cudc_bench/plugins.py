@@ -1,0 +1,58 @@
+"""The one door for everything that can be plugged in: Python entry points.
+
+Collectors, relabelers, evaluators, stages and sub-commands are all found here, ours and third parties' alike, so that the core
+never names a stage and an extension needs no change in this package.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from cudc_bench.errors import RunError, unknown
+
+KINDS = ("collectors", "relabelers", "evaluators", "stages", "commands")
+_SINGULAR = {
+    "collectors": "method",
+    "relabelers": "domain",
+    "evaluators": "algo",
+    "stages": "stage",
+    "commands": "command",
+}
+
+
+@cache
+def _points(kind: str) -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=f"cudc_bench.{kind}")}
+
+
+def names(kind: str) -> list[str]:
+    """The names registered for a kind (one of ``KINDS``), sorted. Nothing is imported."""
+    return sorted(_points(kind))
+
+
+def check_name(kind: str, name: str) -> str:
+    """Return the name if it is registered for that kind.
+
+    Raises:
+        UsageError: it is not; the message lists the names that are.
+    """
+    if name not in _points(kind):
+        raise unknown(_SINGULAR[kind], name, names(kind))
+    return name
+
+
+def load(kind: str, name: str) -> Any:
+    """Import and return what is registered under a name.
+
+    Raises:
+        UsageError: no such name.
+        RunError: the plug-in is registered but cannot be imported.
+    """
+    check_name(kind, name)
+    point = _points(kind)[name]
+    try:
+        return point.load()
+    except (ImportError, AttributeError) as error:
+        raise RunError(f"the {_SINGULAR[kind]} '{name}' ({point.value}) is installed but cannot be imported: {error}.") from error

@@ -1,0 +1,190 @@
+"""Run records: one JSON file for each evaluated member. The leaderboard reads nothing else.
+
+A record says what was trained on what, with every hyperparameter, every episode's return at every evaluation, and the command that
+makes it again. The schema is versioned; unknown fields and non-finite returns are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cudc_bench.errors import RunError
+
+SCHEMA_VERSION = 1
+_Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+_Return = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DatasetReference(_Strict):
+    """The dataset that was trained on.
+
+    Attributes:
+        id: the relabelled dataset's id.
+        fingerprint: SHA-256 of its arrays (see ``cudc_bench.manifest``).
+        domain, task, method, seed, steps: what it is.
+        profile: at which profile it was collected.
+        overrides: hyperparameters of the collection that differ from that profile.
+    """
+
+    id: str
+    fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    domain: _Name
+    task: _Name
+    method: _Name
+    seed: Annotated[int, Field(ge=0)]
+    steps: Annotated[int, Field(ge=1)]
+    profile: _Name
+    overrides: dict[str, Any] = {}
+
+
+class Evaluation(_Strict):
+    """Undiscounted returns of the episodes of one evaluation after so many gradient steps."""
+
+    step: Annotated[int, Field(ge=0)]
+    returns: Annotated[list[_Return], Field(min_length=1)]
+
+    @property
+    def mean(self) -> float:
+        """The score: mean return over the episodes."""
+        return sum(self.returns) / len(self.returns)
+
+
+class TrainingMetrics(_Strict):
+    """Losses and values of the minibatch after so many gradient steps."""
+
+    step: Annotated[int, Field(ge=0)]
+    values: dict[str, float]
+
+
+class Record(_Strict):
+    """One offline training run.
+
+    Attributes:
+        schema_version: of this format.
+        dataset: what was trained on.
+        algorithm: the evaluator's name.
+        profile: of the training.
+        overrides: hyperparameters of the training that differ from the profile.
+        seed: of the training.
+        hyperparameters: all of them.
+        hyperparameters_hash: of ``hyperparameters``.
+        milestones: gradient steps whose scores go into tables.
+        curve: evaluations in the order of their steps; the first at 0, the last after the last step.
+        final: a further, larger evaluation after the last step.
+        metrics: training metrics at the evaluations.
+        seconds: wall time of the whole member's run.
+        versions: of Python and the packages that matter.
+        commit: of this project's code, ``None`` when it is not run from a checkout; ``dirty`` if it had local changes.
+        machine: processor, threads, device.
+        command: makes this record again.
+        created: UTC time, ISO 8601.
+    """
+
+    schema_version: Literal[1] = 1
+    dataset: DatasetReference
+    algorithm: _Name
+    profile: _Name
+    overrides: dict[str, Any] = {}
+    seed: Annotated[int, Field(ge=0)]
+    hyperparameters: dict[str, Any]
+    hyperparameters_hash: str
+    milestones: Annotated[list[int], Field(min_length=1)]
+    curve: Annotated[list[Evaluation], Field(min_length=1)]
+    final: Evaluation
+    metrics: list[TrainingMetrics] = []
+    seconds: Annotated[float, Field(ge=0)]
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    command: str
+    created: str
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Record:
+        steps = [evaluation.step for evaluation in self.curve]
+        if any(later <= earlier for earlier, later in pairwise(steps)):
+            raise ValueError("the evaluations of 'curve' are not in the order of their steps")
+        if self.final.step != steps[-1]:
+            raise ValueError("'final' was not taken after the last step of 'curve'")
+        return self
+
+    @property
+    def group(self) -> str:
+        """The table that this record belongs to: results of different profiles or settings never share one.
+
+        The profile's name, followed by whatever differs from it, as in ``"cpu (collect: steps=100000)"``.
+        """
+        changes = []
+        if self.dataset.profile != self.profile:
+            changes.append(f"collected at {self.dataset.profile}")
+        for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
+            if overrides:
+                changes.append(f"{stage}: " + ", ".join(f"{name}={overrides[name]}" for name in sorted(overrides)))
+        return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
+
+    def score(self, milestone: int) -> float | None:
+        """The mean return at a milestone, or None if nothing was evaluated there.
+
+        After the last step this is the larger final evaluation's.
+        """
+        if milestone == self.final.step:
+            return self.final.mean
+        return next((evaluation.mean for evaluation in self.curve if evaluation.step == milestone), None)
+
+
+def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profile: str) -> Path:
+    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``."""
+    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}-seed{seed}.json")
+
+
+def write_record(path: Path, record: Record) -> None:
+    """Write a record atomically: a reader sees the whole file or none."""
+    write_atomically(path, record.model_dump_json(indent=1) + "\n")
+
+
+def read_record(path: Path) -> Record:
+    """Read and check one record.
+
+    Raises:
+        RunError: the file is missing, is not JSON, or does not fit the schema.
+    """
+    try:
+        return Record.model_validate_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(f"cannot read the record {path}: {error.strerror}.") from None
+    except (ValidationError, UnicodeDecodeError) as error:
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
+            raise RunError(f"{path} is not a run record: {where}: {first['msg']}.") from None
+        raise RunError(f"{path} is not a run record: it is not UTF-8 text.") from None
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file through a temporary neighbour, fsync and one rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def to_json(value: Any) -> str:
+    """Indented JSON with sorted keys; refuses NaN, which is not JSON."""
+    return json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n"

@@ -1,0 +1,143 @@
+"""The loop that trains any offline algorithm and evaluates its policy on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from cudc_bench.config import PositiveInt
+from cudc_bench.envs import Domain, reward_function, simulator_class
+from cudc_bench.envs.simulator import Float64
+from cudc_bench.errors import RunError
+from cudc_bench.replay import Episodes
+from cudc_bench.seeding import episode_seed
+
+from .base import Evaluator
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """How long an agent trains and how often it is evaluated (paper and ExORL).
+
+    Attributes:
+        gradient_steps: updates in all.
+        evaluate_every: updates between two evaluations; there is one before the first update and one after the last, too.
+        evaluation_episodes: episodes of each evaluation, with the deterministic policy.
+        final_episodes: episodes of a further evaluation after the last update, which tables use for the last milestone.
+        milestones: gradient steps whose scores go into tables; "computational efficiency" and "learning performance" in the paper.
+    """
+
+    gradient_steps: PositiveInt = 500_000
+    evaluate_every: PositiveInt = 10_000
+    evaluation_episodes: PositiveInt = 10
+    final_episodes: PositiveInt = 50
+    milestones: tuple[PositiveInt, PositiveInt] = (100_000, 500_000)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out for one member.
+
+    Attributes:
+        curve: (gradient step, undiscounted return of each episode) at every evaluation.
+        final: returns of the final evaluation's episodes.
+        metrics: (gradient step, {metric: value}) at every evaluation after the first.
+    """
+
+    curve: list[tuple[int, list[float]]]
+    final: list[float]
+    metrics: list[tuple[int, dict[str, float]]]
+
+
+class Arena:
+    """Simulators in which a stack of policies is tried, all episodes of all members side by side."""
+
+    def __init__(self, domain: Domain, tasks: Sequence[str]) -> None:
+        self._domain = domain
+        self._tasks = np.array([domain.tasks.index(task) for task in tasks])
+        self._kind = simulator_class(domain.name)
+        self._model = self._kind.build_model()
+        self._rewards = reward_function(domain.name)
+        self._simulators: list[Any] = []
+
+    def returns(self, agent: Evaluator, seeds: Sequence[Sequence[int]]) -> Float64:
+        """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``."""
+        members, episodes = len(seeds), len(seeds[0])
+        while len(self._simulators) < members * episodes:
+            self._simulators.append(self._kind(self._model))
+        simulators = self._simulators[: members * episodes]
+        observations = np.empty((members * episodes, self._domain.observation_size), np.float32)
+        quantities = np.empty((len(simulators), len(self._kind.quantity_names)), np.float64)
+        task = np.repeat(self._tasks, episodes)
+        rows = np.arange(len(simulators))
+        total = np.zeros(len(simulators))
+        for simulator, seed, out in zip(simulators, (s for row in seeds for s in row), observations, strict=True):
+            simulator.reset(seed)
+            simulator.observe(out)
+        for _ in range(self._domain.episode_length):
+            stacked = torch.from_numpy(observations).view(members, episodes, -1).to(agent.device)
+            actions = agent.act(stacked).cpu().numpy().reshape(len(simulators), -1)
+            for simulator, action, out, measured in zip(simulators, actions, observations, quantities, strict=True):
+                simulator.step(action)
+                simulator.observe(out)
+                simulator.quantities(measured)
+            total += self._rewards(quantities)[rows, task]
+        return total.reshape(members, episodes)
+
+
+def run_evaluation(
+    agent: Evaluator, data: Episodes, config: EvaluateConfig, domain: Domain, tasks: Sequence[str],
+    advance: Callable[[int], None],
+) -> list[Outcome]:  # fmt: skip
+    """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
+
+    Args:
+        agent: E members.
+        data: episodes with a reward (E, steps) for each member.
+        config: how long and how often.
+        domain: where the policies are tried.
+        tasks: the task of each member.
+        advance: told how many gradient steps have been done since it was last called.
+
+    Raises:
+        RunError: training diverged (a metric is not finite).
+    """
+    arena = Arena(domain, tasks)
+    horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
+    outcomes = [Outcome([], [], []) for _ in agent.seeds]
+
+    def episode_seeds(purpose: str, step: int, episodes: int) -> list[list[int]]:
+        return [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds]
+
+    for step in range(config.gradient_steps + 1):
+        if step % config.evaluate_every == 0 or step == config.gradient_steps:
+            found = arena.returns(agent, episode_seeds("evaluation", step, config.evaluation_episodes))
+            for outcome, row in zip(outcomes, found, strict=True):
+                outcome.curve.append((step, row.tolist()))
+        if step == config.gradient_steps:
+            break
+        measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
+        metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure))
+        if measure:
+            _record(metrics, step + 1, outcomes)
+        if (step + 1) % 100 == 0 or step + 1 == config.gradient_steps:
+            advance(100 if (step + 1) % 100 == 0 else (step + 1) % 100)
+    found = arena.returns(agent, episode_seeds("final evaluation", config.gradient_steps, config.final_episodes))
+    for outcome, row in zip(outcomes, found, strict=True):
+        outcome.final.extend(row.tolist())
+    return outcomes
+
+
+def _record(metrics: dict[str, torch.Tensor], step: int, outcomes: list[Outcome]) -> None:
+    values = {name: value.tolist() for name, value in metrics.items()}
+    for member, outcome in enumerate(outcomes):
+        row = {name: value[member] for name, value in values.items()}
+        broken = [name for name, value in row.items() if not math.isfinite(value)]
+        if broken:
+            raise RunError(f"training broke down at gradient step {step}: {', '.join(broken)} is not finite.")
+        outcome.metrics.append((step, row))
