@@ -100,6 +100,8 @@ class CUDC(DDPG):
         config, members = self.config, random.count
         if config.k_max < config.horizon:
             raise ValueError(f"k_max={config.k_max} is below the first horizon {config.horizon}")
+        if config.neighbours + config.knn_exclude_self > config.batch_size:
+            raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
         width, z, a = config.width, config.feature_dim, config.action_feature_dim
         self.horizons = config.k_max - config.horizon + 1  # |K|
         self.state_encoder = self._state_encoder(random)

@@ -38,8 +38,12 @@ class DatasetId:
         return f"{self.namespace}/{self.name}-v{self.version}"
 
     def for_task(self, task: str) -> DatasetId:
-        """The id of this dataset relabelled for a task: ``walker/cudc-v0`` becomes ``walker/walk/cudc-v0``."""
-        return DatasetId(f"{self.namespace}/{task}", self.name, self.version)
+        """The id of this dataset relabelled for a task: ``walker/cudc-v0`` becomes ``walker/walk/cudc-v0``.
+
+        Raises:
+            UsageError: the namespace has no room for the task.
+        """
+        return parse_id(f"{self.namespace}/{task}/{self.name}-v{self.version}")
 
 
 def parse_id(text: str) -> DatasetId:
@@ -49,7 +53,8 @@ def parse_id(text: str) -> DatasetId:
         UsageError: the id is not of the form ``namespace/name-vN``.
     """
     match = _ID.fullmatch(text)
-    if match is None or not text.isascii():
+    # Minari takes every folder that holds one called "data" for a dataset: such a namespace would hide or break all others.
+    if match is None or not text.isascii() or "data" in match["namespace"].split("/"):
         raise UsageError(f"'{text}' is not a dataset id; allowed: namespace/name-vN in {_RULE}.")
     return DatasetId(match["namespace"], match["name"], int(match["version"]))
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import DatasetId, dataset_path
+from cudc_bench.ids import DatasetId, dataset_path, datasets_root
 
 KEY = "cudc_bench"
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -122,7 +122,7 @@ def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Mani
     try:
         metadata = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise UsageError(f"there is no dataset '{dataset_id}' in {path.parents[3 if '/' in str(dataset_id) else 2]}.") from None
+        raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
     except (OSError, ValueError) as error:
         raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
     if not isinstance(metadata, dict) or KEY not in metadata:

@@ -6,7 +6,6 @@ makes it again. The schema is versioned; unknown fields and non-finite returns a
 
 from __future__ import annotations
 
-import json
 import os
 from itertools import pairwise
 from pathlib import Path
@@ -171,20 +170,15 @@ def read_record(path: Path) -> Record:
         raise RunError(f"{path} is not a run record: it is not UTF-8 text.") from None
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file through a temporary neighbour, fsync and one rename."""
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a file (text as UTF-8) through a temporary neighbour, fsync and one rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with temporary.open("wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def to_json(value: Any) -> str:
-    """Indented JSON with sorted keys; refuses NaN, which is not JSON."""
-    return json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n"

@@ -86,12 +86,10 @@ class EpisodeShards:
         temporary = path.with_suffix(".tmp")
         with temporary.open("wb") as file:
             for episode in self._pending:
-                np.save(file, np.array([episode.seed], np.uint64), allow_pickle=False)
-                for array in (
-                    episode.observations,
-                    episode.actions,
-                    *(episode.infos[name] for name in sorted(episode.infos)),
-                ):
+                np.save(file, np.array([episode.seed, episode.rewards is not None], np.uint64), allow_pickle=False)
+                infos = [episode.infos[name] for name in sorted(episode.infos)]
+                rewards = [] if episode.rewards is None else [episode.rewards]
+                for array in (episode.observations, episode.actions, *infos, *rewards):
                     np.save(file, array, allow_pickle=False)
         sync(temporary)
         temporary.replace(path)
@@ -105,11 +103,12 @@ class EpisodeShards:
         for path in self._shards:
             with path.open("rb") as file:
                 while file.peek(1):
-                    seed = int(np.load(file, allow_pickle=False)[0])
+                    seed, has_rewards = np.load(file, allow_pickle=False)
                     observations = np.load(file, allow_pickle=False)
                     actions = np.load(file, allow_pickle=False)
                     infos = {name: np.load(file, allow_pickle=False) for name in self._info_names}
-                    yield Episode(seed, observations, actions, infos)
+                    rewards = np.load(file, allow_pickle=False) if has_rewards else None
+                    yield Episode(int(seed), observations, actions, infos, rewards)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,106 @@
+"""Tables as Markdown, LaTeX, CSV and for the terminal. Text from records is escaped in each of them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .load import plain
+from .table import Cell, Table, short
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from rich.console import Group
+
+_TEX = {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
+    ">": r"\textgreater{}", "|": r"\textbar{}", **{c: f"\\{c}" for c in "&%$#_{}"},
+}  # fmt: skip
+
+
+def to_markdown(table: Table) -> str:
+    """A heading, one GitHub-flavoured table for each milestone, the caption, and the commands that make the records again."""
+    return _render("table.md.j2", table, escape_markdown)
+
+
+def to_latex(table: Table) -> str:
+    """A ``table`` environment with the caption; its document needs ``\\usepackage{booktabs}``."""
+    return _render("table.tex.j2", table, escape_latex)
+
+
+def to_csv(table: Table) -> str:
+    """One line for each cell in full precision; a missing cell has 0 seeds and neither mean nor standard deviation."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "best"])
+    for section in table.sections:
+        for row in section.rows:
+            for method, cell in zip(table.methods, row.cells, strict=True):
+                values = [cell.mean, cell.std, cell.n, cell.best] if cell else [None, None, 0, False]
+                writer.writerow([table.group, table.algorithm, table.domain, section.milestone, row.task, method, *values])
+    return text.getvalue()
+
+
+def to_rich(table: Table) -> Group:
+    """For a terminal: title, table and caption; ``rich`` objects throughout, so that nothing in a record is taken for markup."""
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown.add_column("")
+    for method in table.methods:
+        shown.add_column(Text(method), justify="right")
+    for section in table.sections:
+        shown.add_row(Text(f"{short(section.milestone)} steps", style="bold"))
+        for row in section.rows:
+            cells = [Text(_text(cell), style="bold" if cell and cell.best else "") for cell in row.cells]
+            shown.add_row(Text(row.task), *cells)
+        shown.add_section()
+    title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
+    return Group(title, shown, Text(table.caption, style="dim"))
+
+
+def escape_markdown(text: str) -> str:
+    """Text that Markdown shows as it is, inside table cells too."""
+    return re.sub(r"([\\`*_{}\[\]<>&#|~$!@])", r"\\\1", plain(text))
+
+
+def escape_latex(text: str) -> str:
+    """Text that LaTeX shows as it is; characters beyond ASCII, which a font may lack, by their numbers."""
+    ascii_only = plain(text).encode("ascii", "backslashreplace").decode()
+    escaped = "".join(_TEX.get(c, c) for c in ascii_only)
+    return re.sub("-(?=-)", "-{}", escaped)  # Two hyphens would become a dash.
+
+
+def _text(cell: Cell | None) -> str:
+    if cell is None:
+        return "–"
+    spread = "" if cell.std is None else f"±{round(cell.std)}"
+    return f"{round(cell.mean)}{spread} ({cell.n})"
+
+
+def _render(template: str, table: Table, escape: Callable[[str], str]) -> str:
+    return _environment(escape).get_template(template).render(table=table, round=round, short=short)
+
+
+@cache
+def _environment(escape: Callable[[str], str]) -> Environment:
+    """Templates whose every value is escaped unless it passes the ``safe`` filter; braces mean nothing, for LaTeX's sake."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finish(value: Any) -> Any:
+        return value if isinstance(value, Markup) else escape(str(value))
+
+    return Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")), undefined=StrictUndefined, finalize=finish,
+        variable_start_string="<<", variable_end_string=">>", block_start_string="<%", block_end_string="%>",
+        comment_start_string="<#", comment_end_string="#>", trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip

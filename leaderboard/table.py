@@ -1,0 +1,232 @@
+"""The model behind every rendering: one table for each (group, algorithm, domain), like the two halves of the paper's Table 1.
+
+Conventions. The unit of replication is the collector seed: several training runs on one dataset count once, as their mean. The
+paper prints "mean ± std over five seeds" without saying which; here it is the *sample* standard deviation (divisor n - 1), the usual
+estimate for seeds that stand for all others, and with five seeds 12 % above the population's. It does not exist for n = 1, where
+a cell shows its mean and n alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import fmean, stdev
+
+from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.records import Record
+
+from .load import evaluation_at, plain
+
+METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
+ENOUGH_SEEDS = 5
+_NAME = re.compile(r"[a-z0-9_-]+")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The result of one method on one task.
+
+    Attributes:
+        mean: mean return over collector seeds.
+        std: sample standard deviation over them; None for one seed.
+        n: number of collector seeds.
+        best: largest mean of a row of several, after rounding to whole returns; ties share it.
+    """
+
+    mean: float
+    std: float | None
+    n: int
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One task; a cell for each method of the table, None where there is no result."""
+
+    task: str
+    cells: tuple[Cell | None, ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """The scores after ``milestone`` gradient steps; ``episodes`` are the smallest and largest number behind one score."""
+
+    milestone: int
+    episodes: tuple[int, int]
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Results that may be compared with one another.
+
+    Attributes:
+        group: profile and whatever differs from it, on one line (see ``Record.group``).
+        algorithm, domain: evaluator and domain.
+        slug: a safe and unique name for files.
+        methods: the columns: the paper's baselines and CUDC in the paper's order, then others by name.
+        sections: one for each milestone, ascending.
+        records: all that it was made from.
+    """
+
+    group: str
+    algorithm: str
+    domain: str
+    slug: str
+    methods: tuple[str, ...]
+    sections: tuple[Section, ...]
+    records: tuple[Record, ...] = field(repr=False)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The rows: the domain's tasks in its order, then others by name."""
+        return tuple(row.task for row in self.sections[0].rows)
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All cells that hold a result."""
+        return [cell for section in self.sections for row in section.rows for cell in row.cells if cell]
+
+    @property
+    def seeds(self) -> str:
+        """How many collector seeds are behind a cell, such as ``"5 seeds"`` or ``"1 to 3 seeds"``."""
+        counts = [cell.n for cell in self.cells] or [0]
+        return f"{_span(min(counts), max(counts))} {'seed' if max(counts) == 1 else 'seeds'}"
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands that make the records again, without repeats."""
+        return sorted({plain(record.command) for record in self.records})
+
+    @property
+    def caption(self) -> str:
+        """What the numbers are, in plain ASCII except for what records bring along."""
+        steps = " and ".join(short(section.milestone) for section in self.sections)
+        episodes = ", ".join(f"{_span(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
+        preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
+        return (
+            f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
+            f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets, the best mean of a row is bold."
+            f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
+            + (" Preliminary: fewer than five seeds." if preliminary else "")
+        )
+
+
+def build_tables(records: Iterable[Record]) -> tuple[list[Table], list[str]]:
+    """Sort records into tables; results of different groups never share one.
+
+    Records whose milestones differ from those of most others in their table are left out of it.
+
+    Returns:
+        The tables, by domain, algorithm and group, and one line for each problem.
+    """
+    split: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
+    for record in records:
+        split[record.dataset.domain, record.algorithm, record.group].append(record)
+    tables, problems = [], []
+    for domain, algorithm, group in sorted(split):
+        same, odd = _agree(split[domain, algorithm, group])
+        table = _build(group, algorithm, domain, same)
+        tables.append(table)
+        problems += [f"table {table.slug}: {problem}" for problem in (*odd, *_doubts(same))]
+    return tables, problems
+
+
+def seed_scores(records: Iterable[Record], step: int) -> list[float]:
+    """The mean return of each collector seed after ``step`` gradient steps; seeds without an evaluation there are absent."""
+    seeds: dict[int, list[float]] = defaultdict(list)
+    for record in records:
+        score = record.score(step)
+        if score is not None:
+            seeds[record.dataset.seed].append(score)
+    return [fmean(scores) for _, scores in sorted(seeds.items())]
+
+
+def short(steps: float) -> str:
+    """``20000`` -> ``"20K"``, ``1500000`` -> ``"1.5M"``."""
+    for size, letter in ((1e6, "M"), (1e3, "K")):
+        if steps >= size:
+            return f"{steps / size:.6g}{letter}"
+    return f"{steps:.6g}"
+
+
+def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
+    found = Counter(_milestones(record) for record in records)
+    most = max(found, key=lambda milestones: (found[milestones], milestones))
+    odd = [
+        f"{record.dataset.id} (seed {record.seed}) is left out: its milestones {_listed(_milestones(record))} are not the"
+        f" table's {_listed(most)}."
+        for record in records
+        if _milestones(record) != most
+    ]
+    return [record for record in records if _milestones(record) == most], odd
+
+
+def _doubts(records: Sequence[Record]) -> list[str]:
+    problems = [
+        f"{record.dataset.id} (seed {record.seed}) was not evaluated at milestone {milestone}."
+        for record in records
+        for milestone in _milestones(record)
+        if record.score(milestone) is None
+    ]
+    first = records[0].hyperparameters
+    if any(record.hyperparameters != first for record in records):
+        names = {n for r in records for n in first.keys() | r.hyperparameters if first.get(n) != r.hyperparameters.get(n)}
+        problems.append(plain(f"its records were trained with different hyperparameters: {', '.join(sorted(names))}."))
+    return problems
+
+
+def _build(group: str, algorithm: str, domain: str, records: Sequence[Record]) -> Table:
+    methods = _ordered({record.dataset.method for record in records}, METHOD_ORDER)
+    known = DOMAINS[domain].tasks if domain in DOMAINS else ()
+    tasks = _ordered({*known, *(record.dataset.task for record in records)}, known)
+    cells: dict[tuple[str, str], list[Record]] = defaultdict(list)
+    for record in records:
+        cells[record.dataset.task, record.dataset.method].append(record)
+    sections = []
+    for milestone in _milestones(records[0]):
+        rows = [Row(task, _best([_cell(cells[task, method], milestone) for method in methods])) for task in tasks]
+        evaluations = [evaluation_at(record, milestone) for record in records]
+        episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
+        sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
+    return Table(plain(group), algorithm, domain, _slug(group, algorithm, domain), methods, tuple(sections), tuple(records))
+
+
+def _cell(records: Sequence[Record], milestone: int) -> Cell | None:
+    scores = seed_scores(records, milestone)
+    return Cell(fmean(scores), stdev(scores) if len(scores) > 1 else None, len(scores)) if scores else None
+
+
+def _best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
+    means = [round(cell.mean) for cell in cells if cell]
+    if len(means) < 2:
+        return tuple(cells)
+    return tuple(cell and replace(cell, best=round(cell.mean) == max(means)) for cell in cells)
+
+
+def _ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
+    return tuple(sorted(names, key=lambda name: (first.index(name) if name in first else len(first), name)))
+
+
+def _slug(group: str, algorithm: str, domain: str) -> str:
+    if not _NAME.fullmatch(group):
+        # Different settings may look alike once their punctuation is gone; the digest keeps them apart.
+        readable = re.sub(r"[^a-z0-9]+", "-", group.lower())[:60].strip("-")
+        group = f"{readable}-{hashlib.sha256(group.encode()).hexdigest()[:8]}"
+    # Names have no dots, so different triples cannot give one slug.
+    return f"{group}.{algorithm}.{domain}"
+
+
+def _milestones(record: Record) -> tuple[int, ...]:
+    return tuple(sorted(set(record.milestones)))
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, numbers))
+
+
+def _span(low: int, high: int) -> str:
+    return str(low) if low == high else f"{low} to {high}"

@@ -1,0 +1,74 @@
+"""k-step sampling: windows stay inside their episode, starts are uniform, members draw alone."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cudc_bench.networks import MemberRandom
+from cudc_bench.replay import Episodes
+
+
+def coded(lengths, seeds=(1,), sources=1, source_of_member=None):
+    """Episodes whose numbers say where they come from: observation (source, episode, t), action (source, episode, t)."""
+    episodes = Episodes(sources, len(lengths) + 2, sum(lengths) + 7, 3, 3, MemberRandom(seeds, "replay"), source_of_member)
+    for source in range(sources):
+        for index, length in enumerate(lengths):
+            rows = torch.tensor([[source, index, t] for t in range(length + 1)], dtype=torch.float32)
+            episodes.add(source, rows, rows[:-1])
+    return episodes
+
+
+@settings(max_examples=60, deadline=None)
+@given(lengths=st.lists(st.integers(6, 12), min_size=1, max_size=5), horizon=st.integers(1, 6), seed=st.integers(0, 99))
+def test_windows_never_leave_their_episode(lengths, horizon, seed):
+    episodes = coded(lengths, seeds=(seed,))
+    batch = episodes.sample(64, torch.tensor([horizon]))
+    assert torch.equal(batch.observation, batch.action)
+    assert torch.equal(batch.observation[..., :2], batch.next_observation[..., :2])
+    assert torch.equal(batch.next_observation[..., 2] - batch.observation[..., 2], torch.full((1, 64), float(horizon)))
+    limit = torch.tensor(lengths)[batch.observation[0, :, 1].long()]
+    assert (batch.next_observation[0, :, 2] <= limit).all()
+    assert batch.reward is None
+
+
+def test_episodes_then_starts_are_uniform_including_both_ends():
+    episodes = coded([5, 10])
+    batch = episodes.sample(60_000, torch.tensor([3]))
+    where = batch.observation[0]
+    for index, starts in ((0, 3), (1, 8)):
+        own = where[where[:, 1] == index][:, 2].long()
+        assert len(own) / 60_000 == pytest.approx(0.5, abs=0.01)
+        share = torch.bincount(own, minlength=starts) / len(own)
+        assert len(share) == starts
+        torch.testing.assert_close(share, torch.full((starts,), 1 / starts), atol=0.01, rtol=0)
+
+
+def test_only_finished_episodes_are_drawn():
+    episodes = coded([6])
+    assert episodes.episodes() == 1
+    assert (episodes.sample(500, torch.tensor([1])).observation[..., 1] == 0).all()
+    episodes.add(0, torch.full((7, 3), 9.0), torch.full((6, 3), 9.0))
+    assert (episodes.sample(500, torch.tensor([1])).observation[..., 1] == 9).any()
+
+
+def test_each_member_has_its_own_horizon_source_and_draws():
+    together = coded([9, 11], seeds=(5, 6), sources=2)
+    batch = together.sample(32, torch.tensor([1, 4]))
+    steps = batch.next_observation[..., 2] - batch.observation[..., 2]
+    assert (steps[0] == 1).all()
+    assert (steps[1] == 4).all()
+    assert (batch.observation[0, :, 0] == 0).all()
+    assert (batch.observation[1, :, 0] == 1).all()
+    alone = coded([9, 11], seeds=(6,)).sample(32, torch.tensor([4]))
+    assert torch.equal(batch.observation[1, :, 1:], alone.observation[0, :, 1:])
+
+
+def test_members_that_share_a_source_get_their_own_rewards():
+    episodes = coded([4, 4], seeds=(1, 1), source_of_member=[0, 0])
+    episodes.rewards = torch.stack([torch.arange(15.0), -torch.arange(15.0)])
+    batch = episodes.sample(40, torch.tensor([1, 1]))
+    row = batch.observation[0, :, 1] * 4 + batch.observation[0, :, 2]
+    assert torch.equal(batch.observation[0], batch.observation[1])
+    assert torch.equal(batch.reward[0], row)
+    assert torch.equal(batch.reward[1], -row)

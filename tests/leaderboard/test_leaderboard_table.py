@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cudc_bench.leaderboard.table import build_tables, short
+
+
+def only(records):
+    (table,), problems = build_tables(records)
+    return table, problems
+
+
+def cell(table, section, task, method):
+    row = next(row for row in table.sections[section].rows if row.task == task)
+    return row.cells[table.methods.index(method)]
+
+
+def test_mean_and_sample_deviation_over_collector_seeds(make_record):
+    finals = {1: [100.0, 200.0], 2: [310.0], 3: [505.0, 507.0]}
+    table, problems = only([make_record(seed=seed, final=returns) for seed, returns in finals.items()])
+    scores = np.array([150.0, 310.0, 506.0])
+    found = cell(table, 1, "walk", "cudc")
+    assert problems == []
+    assert found.n == 3
+    assert found.mean == pytest.approx(scores.mean())
+    assert found.std == pytest.approx(np.sqrt(((scores - scores.mean()) ** 2).sum() / 2))
+
+
+def test_milestones_use_their_own_evaluation(make_record):
+    table, _ = only([make_record()])
+    assert [section.milestone for section in table.sections] == [10_000, 20_000]
+    assert cell(table, 0, "walk", "cudc").mean == 150.0
+    # The last milestone is the final evaluation (500), not the last point of the curve (300).
+    assert cell(table, 1, "walk", "cudc").mean == 500.0
+    assert [section.episodes for section in table.sections] == [(2, 2), (3, 3)]
+
+
+def test_training_runs_on_one_dataset_are_one_seed(make_record):
+    first = make_record(seed=1, final=[100.0])
+    again = make_record(seed=1, final=[300.0]).model_copy(update={"seed": 2})
+    found = cell(only([first, again, make_record(seed=2, final=[600.0])])[0], 1, "walk", "cudc")
+    assert (found.n, found.mean) == (2, 400.0)
+    assert found.std == pytest.approx(np.std([200.0, 600.0], ddof=1))
+
+
+def test_one_seed_has_no_deviation(make_record):
+    found = cell(only([make_record()])[0], 1, "walk", "cudc")
+    assert (found.n, found.std) == (1, None)
+
+
+def test_rows_are_the_domains_tasks_then_others_and_missing_cells_are_none(make_record):
+    table, _ = only([make_record(task="run"), make_record(task="juggle"), make_record(method="random", task="run")])
+    assert table.tasks == ("stand", "walk", "run", "flip", "juggle")
+    assert cell(table, 0, "stand", "cudc") is None
+    assert cell(table, 0, "juggle", "random") is None
+    assert cell(table, 0, "run", "random") is not None
+
+
+def test_a_domain_that_is_not_ours_has_its_tasks_by_name(make_record):
+    table, _ = only([make_record(task=task, dataset_domain="cheetah") for task in ("run", "flip")])
+    assert table.tasks == ("flip", "run")
+
+
+def test_methods_are_in_the_papers_order_then_by_name(make_record):
+    names = ["zeta", "cudc", "aps", "alpha", "proto", "apt", "icm", "random"]
+    table, _ = only([make_record(method=name) for name in names])
+    assert table.methods == ("random", "icm", "apt", "proto", "aps", "cudc", "alpha", "zeta")
+
+
+def test_best_is_by_rounded_mean_and_ties_share_it(make_record):
+    table, _ = only(
+        [
+            make_record(method="random", final=[99.4]),
+            make_record(method="icm", final=[100.4]),
+            make_record(method="apt", final=[99.6]),
+        ]
+    )
+    assert [c.best for c in table.sections[1].rows[1].cells] == [False, True, True]
+
+
+def test_a_cell_alone_in_its_row_is_not_best(make_record):
+    table, _ = only([make_record(), make_record(method="icm", task="run")])
+    assert not any(c.best for c in table.cells)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"profile": "paper"},
+        {"dataset_profile": "paper"},
+        {"overrides": {"gamma": 0.9}},
+        {"dataset_overrides": {"steps": 100}},
+        {"algorithm": "cql"},
+        {"dataset_domain": "cheetah"},
+    ],
+)
+def test_what_may_not_be_compared_never_shares_a_table(other, make_record):
+    tables, _ = build_tables([make_record(seed=1), make_record(seed=2, **other)])
+    assert len(tables) == 2
+    assert [len(table.records) for table in tables] == [1, 1]
+    assert all(c.n == 1 for table in tables for c in table.cells)
+
+
+def test_other_milestones_are_left_out_and_reported(make_record):
+    records = [make_record(seed=seed) for seed in (1, 2)]
+    odd = make_record(seed=3, milestones=[10_000], final=[999.0])
+    table, problems = only([odd, *records])
+    assert cell(table, 1, "walk", "cudc").mean == 500.0
+    assert cell(table, 1, "walk", "cudc").n == 2
+    (problem,) = problems
+    assert odd.dataset.id in problem
+    assert "10000, 20000" in problem
+
+
+def test_a_milestone_without_evaluation_is_missing_and_reported(make_record):
+    table, problems = only([make_record(milestones=[10_000, 15_000])])
+    assert cell(table, 1, "walk", "cudc") is None
+    assert "15000" in problems[0]
+
+
+def test_different_hyperparameters_in_one_group_are_reported_by_name(make_record):
+    records = [make_record(seed=seed, hyperparameters={"gamma": 0.9, "width": seed}) for seed in (1, 2)]
+    (problem,) = only(records)[1]
+    assert problem.endswith("hyperparameters: width.")
+
+
+def test_caption_says_what_the_numbers_are(make_record):
+    caption = only([make_record(seed=1), make_record(seed=2), make_record(method="icm")])[0].caption
+    for part in ("sample standard deviation", "10K and 20K gradient steps", "td3", "walker", "Profile: cpu.", "1 to 2 seeds.",
+                 "2 at 10K, 3 at 20K", "Preliminary: fewer than five seeds."):  # fmt: skip
+        assert part in caption
+
+
+def test_five_seeds_are_not_preliminary(make_record):
+    caption = only([make_record(seed=seed) for seed in range(1, 6)])[0].caption
+    assert "5 seeds." in caption
+    assert "Preliminary" not in caption
+
+
+def test_commands_are_listed_once(make_record):
+    table, _ = only([make_record(command="a"), make_record(task="run", command="a"), make_record(task="flip", command="b\nc")])
+    assert table.commands == ["a", "b c"]
+
+
+def test_slugs_are_safe_and_unique(make_record):
+    values = ["1e-3", "1e+3", "../../etc", "a/b", "x" * 500, "\x00\n", "ü"]
+    tables, _ = build_tables([make_record(overrides={"lr": value}) for value in values] + [make_record()])
+    slugs = [table.slug for table in tables]
+    assert len(set(slugs)) == len(values) + 1
+    assert "cpu.td3.walker" in slugs
+    for slug in slugs:
+        assert len(slug) < 200
+        assert set(slug) <= set("abcdefghijklmnopqrstuvwxyz0123456789-_.")
+        assert ".." not in slug
+
+
+def test_order_of_records_does_not_matter(make_record):
+    records = [make_record(seed=seed, final=[0.1 * seed, 7.7]) for seed in range(1, 8)]
+    assert only(records)[0].sections == only(records[::-1])[0].sections
+
+
+@pytest.mark.parametrize(
+    ("steps", "text"), [(0, "0"), (40, "40"), (2_500, "2.5K"), (100_000, "100K"), (1_000_000, "1M"), (1_500_000, "1.5M")]
+)
+def test_short(steps, text):
+    assert short(steps) == text
