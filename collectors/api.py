@@ -179,7 +179,6 @@ class _Sink:
     def __init__(self, folder: Path) -> None:
         self.shards = EpisodeShards(folder / "shards")
         self.last: dict[str, Any] = {}
-        self._shard_folder = folder / "shards"
         self._diagnostics = (folder / "diagnostics.jsonl").open("w", encoding="utf-8")
 
     def add_episode(self, seed: int, observations: Float32, actions: Float32, physics: Float64) -> None:
@@ -190,8 +189,6 @@ class _Sink:
         self._diagnostics.write(json.dumps(row) + "\n")
 
     def close(self) -> None:
-        """Close the diagnostics and remove the shards: the dataset is complete without them."""
+        """Close the diagnostics and remove the shards."""
         self._diagnostics.close()
-        for shard in self._shard_folder.iterdir():
-            shard.unlink()
-        self._shard_folder.rmdir()
+        self.shards.remove()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import TaskID
 
 Advance = Callable[[int], None]
+_LINE_EVERY = 30.0  # seconds between two lines of a task where there is no terminal to draw a bar on
 
 
 @cache
@@ -28,7 +32,7 @@ def say(message: str) -> None:
 
 @contextmanager
 def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
-    """Show one progress bar with its time left for each task.
+    """Show one progress bar with its time left for each task; in a log file, a line every half minute.
 
     Args:
         tasks: description and total of each.
@@ -37,14 +41,10 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
     Yields:
         For each task, a function that is told by how much it advanced.
     """
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    if not console().is_terminal:
+        yield [_Lines(description, total, unit).advance for description, total in tasks]
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     progress = Progress(
         TextColumn("{task.description}", markup=False),
@@ -57,6 +57,39 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
         console=console(),
     )
     with progress:
-        numbers = [progress.add_task(description, total=total) for description, total in tasks]
-        # The default binds each number now, not when the function is called.
-        yield [lambda n, number=number: progress.advance(number, n) for number in numbers]  # type: ignore[misc]
+        numbers = [progress.add_task(description, total=total, start=False) for description, total in tasks]
+
+        def advance_of(number: TaskID) -> Advance:
+            def advance(n: int) -> None:
+                # A task's clock starts with its work: jobs that wait for a core would otherwise spoil their estimate.
+                progress.start_task(number)
+                progress.advance(number, n)
+
+            return advance
+
+        yield [advance_of(number) for number in numbers]
+
+
+class _Lines:
+    """Reports one task's progress as lines of text."""
+
+    def __init__(self, description: str, total: int, unit: str) -> None:
+        self._description, self._total, self._unit = description, total, unit
+        self._done = 0
+        self._started: float | None = None
+        self._said = 0.0
+
+    def advance(self, n: int) -> None:
+        """Count, and say how far it is when the last line is old enough or the task is done."""
+        now = time.monotonic()
+        if self._started is None:
+            self._started = self._said = now
+        self._done += n
+        done = self._done >= self._total
+        if now - self._said < _LINE_EVERY and not done:
+            return
+        self._said = now
+        passed = now - self._started
+        left = passed / self._done * (self._total - self._done)
+        times = [str(timedelta(seconds=round(seconds))) for seconds in (passed, left)]
+        say(f"{self._description}: {self._done:,}/{self._total:,} {self._unit}, {times[0]} passed, {times[1]} left")

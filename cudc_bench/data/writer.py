@@ -110,6 +110,12 @@ class EpisodeShards:
                     rewards = np.load(file, allow_pickle=False) if has_rewards else None
                     yield Episode(int(seed), observations, actions, infos, rewards)
 
+    def remove(self) -> None:
+        """Delete the shards: the dataset is complete without them."""
+        for path in self._shards:
+            path.unlink()
+        self._folder.rmdir()
+
 
 @dataclass(frozen=True)
 class Written:

@@ -10,6 +10,8 @@ import torch.nn.functional as F
 
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.cudc import CUDC, CUDCConfig, effective_rank
+from cudc_bench.networks import minimise
+from tests.evaluators.helpers import random_walker_data
 
 from .helpers import batch_for, make
 
@@ -321,3 +323,26 @@ def test_the_probe_batch_stays_the_same():
     c.update(batch_for(c, seed=5, measure=True))
     assert torch.equal(first, c.probe)
     assert torch.equal(first, batch_for(c).observation)
+
+
+@pytest.fixture(scope="module")
+def random_walker():
+    return random_walker_data(40, "stand", (1,))
+
+
+@pytest.mark.parametrize("action_target", ["stopgrad", "live"])
+def test_the_representation_learns_and_a_live_action_target_collapses(random_walker, action_target):
+    # The belief alone, on 40 episodes of random actions: the pilot behind the choice of targets, at a smaller width.
+    space = Space("walker", 24, 6, 1000, 4000, 2)
+    c = CUDC(space, CUDCConfig(width=128, feature_dim=128, batch_size=128, action_target=action_target), [1])
+    reach, batch = [], None
+    for _ in range(1500):
+        batch = random_walker.sample(128, c.horizon)
+        loss, losses = c.belief_loss(batch)
+        minimise(loss, c.belief_optimiser)
+        c.update_targets()
+        reach.append(losses["loss_reach"].item())
+    # Chance is ln 128.
+    assert np.mean(reach[580:620]) < math.log(128)
+    spread = batch.kept["action"].std(1).norm(dim=-1).item()
+    assert spread > 0.1 if action_target == "stopgrad" else spread < 0.05

@@ -1,0 +1,53 @@
+# Two commands on a fresh machine with Python 3.11 or 3.12 and make: `make demo` and `make test`. Each does its own set-up in .venv.
+
+VENV := .venv
+BIN := $(VENV)/bin
+# The first interpreter that fits; override with: make PYTHON=/path/to/python3.12
+FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
+PYTHON ?= $(shell for p in python3 python3.12 python3.11; do $$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
+DEMO := $(CURDIR)/demo
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench wheel-check clean
+
+help:  ## Show the targets.
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "cudc-bench needs Python 3.11 or 3.12 (labmaze, which dm_control requires, has no newer wheel)"; exit 1; }
+	@echo "installing into $(VENV) (PyTorch, MuJoCo and the rest; a few minutes the first time)"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+setup: $(VENV)/.installed  ## Install everything into .venv.
+
+demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, print the table.
+	@MINARI_DATASETS_PATH=$(DEMO)/datasets $(BIN)/cudc-bench evaluate --algo td3 --method cudc,random --profile demo --output $(DEMO)/results > /dev/null
+	@$(BIN)/cudc-bench leaderboard $(DEMO)/results --output $(DEMO)/report
+	@echo
+	@echo "datasets   $(DEMO)/datasets   (MINARI_DATASETS_PATH=$(DEMO)/datasets, then minari.load_dataset('walker/cudc-v0'))"
+	@echo "records    $(DEMO)/results"
+	@echo "table      $(DEMO)/report/demo.td3.walker/table.md"
+	@echo "curves     $(DEMO)/report/demo.td3.walker/curves.svg"
+
+test: setup  ## Run the tests.
+	$(BIN)/pytest -n auto
+
+lint: setup  ## Check style and types.
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: setup  ## Put the code into the project's format.
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup  ## Measure speed as ratios and print a table; see benchmarks/README.md.
+	$(BIN)/python -m benchmarks
+
+wheel-check: setup  ## Build the wheel, install it into an empty environment elsewhere, run the three calls there.
+	BIN=$(CURDIR)/$(BIN) ./.ci/wheel-check
+
+clean:  ## Remove the environment and what the demo made.
+	rm -rf $(VENV) demo build dist *.egg-info

@@ -1,0 +1,51 @@
+"""Timing by the smallest of several runs, which other load on the machine disturbs least."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table.
+
+    Attributes:
+        what: what was measured.
+        measured: the figure with its unit.
+        against: what it is compared with, measured in the same run; empty if the target is absolute.
+        ratio: the comparison.
+        target: what the project asks for; empty for none.
+        met: whether it was met.
+    """
+
+    what: str
+    measured: str
+    against: str
+    ratio: str
+    target: str
+    met: bool
+
+
+def fastest(function: Callable[[], object], repeats: int, warm_up: int = 1) -> float:
+    """Seconds of the fastest call."""
+    for _ in range(warm_up):
+        function()
+    best = float("inf")
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        best = min(best, time.perf_counter() - start)
+    return best
+
+
+def fastest_interleaved(functions: list[Callable[[], object]], rounds: int) -> list[float]:
+    """Seconds of the fastest call of each, measured in turns so that all see the same machine."""
+    best = [float("inf")] * len(functions)
+    for function in functions:
+        function()
+    for _ in range(rounds):
+        for index, function in enumerate(functions):
+            best[index] = min(best[index], fastest(function, repeats=1, warm_up=0))
+    return best

@@ -1,0 +1,110 @@
+"""TD3 against NumPy, on a problem whose answer is known, and on a small Walker dataset."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from cudc_bench.envs import DOMAINS
+from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
+from cudc_bench.replay import Batch
+
+from .helpers import batch_for, make, random_walker_data
+
+
+def layers(parameters, x):
+    """Trunk (Linear, LayerNorm, tanh), hidden layer (ReLU) and output, by hand."""
+    p = [parameter.astype(np.float64) for parameter in parameters]
+    x = x @ p[0] + p[1]
+    x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-5) * p[2] + p[3]
+    return np.maximum(np.tanh(x) @ p[4] + p[5], 0) @ p[6] + p[7]
+
+
+def policy(agent, s):
+    return np.tanh(layers([p.detach().numpy()[0] for p in agent.actor.parameters()], s))
+
+
+def values(critic, s, a):
+    """Both critics' values: their trunks are separate, one after the other on the leading axis."""
+    both = [[p.detach().numpy()[twin] for p in critic.parameters()] for twin in range(2)]
+    return np.concatenate([layers(p, np.concatenate([s, a], -1)) for p in both], -1)
+
+
+def test_losses_equal_the_formulas():
+    agent = make(noise_std=0.0)
+    for step in range(5):
+        agent.update(batch_for(agent, seed=step))
+    batch = batch_for(agent, seed=9, measure=True)
+    s, a, following, r = (x[0].numpy().astype(np.float64) for x in (batch.observation, batch.action, batch.next_observation, batch.reward))
+    y = r + 0.99 * values(agent.target_critic, following, policy(agent, following)).min(-1)
+    q = values(agent.critic, s, a)
+    critic_loss = ((q - y[:, None]) ** 2).mean(0).sum()
+    old = [p.clone() for p in agent.target_critic.parameters()]
+    own = policy(agent, s)
+    metrics = agent.update(batch)
+    assert metrics["critic_loss"].item() == pytest.approx(critic_loss, rel=1e-4)
+    assert metrics["q"].item() == pytest.approx(q.mean(), rel=1e-4)
+    assert metrics["actor_loss"].item() == pytest.approx(-values(agent.critic, s, own).min(-1).mean(), rel=1e-4)
+    for before, online, target in zip(old, agent.critic.parameters(), agent.target_critic.parameters(), strict=True):
+        torch.testing.assert_close(target, 0.99 * before + 0.01 * online)
+
+
+def test_smoothing_noise_is_clipped():
+    agent = make(noise_std=100.0, noise_clip=0.3)
+    mean = agent.actor(torch.zeros(1, 500, 24))
+    offset = (agent._policy(torch.zeros(1, 500, 24)) - mean).detach()
+    assert offset.abs().max() == pytest.approx(0.3, abs=1e-5)
+
+
+def test_learns_the_best_action_of_a_known_problem():
+    # One state, reward 1 - (a - 0.4)²: the best action and its value, 1 / (1 - γ), are known.
+    agent = make(seeds=(1, 2), observation=3, action=1, width=32, learning_rate=3e-3, discount=0.5, noise_std=0.05)
+    state = torch.ones(2, 64, 3)
+    for step in range(800):
+        action = torch.rand(2, 64, 1, generator=torch.Generator().manual_seed(step)) * 2 - 1
+        reward = 1 - (action[..., 0] - 0.4).square()
+        agent.update(Batch(state, action, state, torch.ones(2, dtype=torch.int64), reward))
+    best = agent.act(state[:, :1])
+    torch.testing.assert_close(best, torch.full((2, 1, 1), 0.4), atol=0.1, rtol=0)
+    torch.testing.assert_close(agent.critic(state[:, :1], best), torch.full((2, 1, 2), 2.0), atol=0.15, rtol=0)
+
+
+class Still:
+    """A policy that always does the same."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, action):
+        self.action = action
+
+    def act(self, observation):
+        return self.action.expand(*observation.shape[:2], -1)
+
+
+def test_the_arena_returns_what_gymnasium_returns():
+    import gymnasium
+
+    action = torch.tensor([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
+    arena = Arena(DOMAINS["walker"], ["stand", "flip"])
+    found = arena.returns(Still(action), [[5, 6], [7, 8]])
+    for row, task, seeds in zip(found, ("stand", "flip"), ((5, 6), (7, 8)), strict=True):
+        env = gymnasium.make(f"cudc_bench/walker-{task}-v0")
+        for value, seed in zip(row, seeds, strict=True):
+            env.reset(seed=seed)
+            total, truncated = 0.0, False
+            while not truncated:
+                _, reward, _, truncated, _ = env.step(action.numpy())
+                total += reward
+            assert value == pytest.approx(total, abs=1e-9)
+
+
+def test_beats_a_random_policy_on_walker_stand():
+    # 5,000 steps on 40 episodes of random actions; the mean return of random actions on stand is about 130.
+    data = random_walker_data(40, "stand", (1,))
+    random_return = float(data.rewards.sum()) / 40
+    agent = make(seeds=(1,), width=64, batch_size=128)
+    config = EvaluateConfig(gradient_steps=5000, evaluate_every=2500, evaluation_episodes=3, final_episodes=10, milestones=(2500, 5000))
+    (outcome,) = run_evaluation(agent, data, config, DOMAINS["walker"], ["stand"], lambda n: None)
+    assert all(math.isfinite(value) for _, row in outcome.metrics for value in row.values())
+    assert np.mean(outcome.final) > 1.2 * random_return
