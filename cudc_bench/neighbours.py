@@ -19,7 +19,9 @@ def neighbour_distances(points: Tensor, neighbours: int, exclude_self: bool = Fa
         exclude_self: leave out the point itself, which otherwise counts as the nearest, at distance 0.
 
     Returns:
-        (E, B, neighbours), in no particular order.
+        (E, B, neighbours), in no particular order. Exact to about 1e-6 of the largest squared norm around the mean before the root
+        is taken, so that two equal points can seem to be a thousandth of that norm apart. Differences of the chosen pairs would be
+        exact, and cost up to 5 % of a CUDC update.
     """
     # Distances do not change by a shift; small norms lose fewer digits in the difference of squares.
     centred = points - points.mean(1, keepdim=True)

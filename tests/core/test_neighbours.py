@@ -22,8 +22,12 @@ def test_equals_a_loop(exclude_self, offset):
             torch.testing.assert_close(found[member, i], torch.tensor(distances[:12]), atol=1e-4, rtol=1e-4)
 
 
-def test_a_point_is_at_distance_zero_from_itself_and_from_its_copies():
-    points = torch.randn(1, 8, 30) * 100
+def test_a_point_is_at_distance_zero_from_itself_and_its_copies_are_within_the_rounding_of_the_squares():
+    points = torch.randn(1, 8, 30, generator=torch.Generator().manual_seed(0)) * 100
     points[0, 1] = points[0, 0]
     assert neighbour_distances(points, 1).max() == 0.0
-    assert neighbour_distances(points, 1, exclude_self=True)[0, 0] == pytest.approx(0.0, abs=0.1)
+    largest = (points - points.mean(1, keepdim=True)).norm(dim=-1).max().item()
+    copies = neighbour_distances(points, 1, exclude_self=True)[0, :2]
+    others = neighbour_distances(points, 1, exclude_self=True)[0, 2:]
+    assert copies.max() <= 1e-3 * largest
+    assert others.min() > 0.1 * largest
