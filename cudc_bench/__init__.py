@@ -16,8 +16,8 @@ if _TYPE_CHECKING:
     from cudc_bench.data.reader import Transitions as Transitions
     from cudc_bench.data.reader import load_transitions as load_transitions
 
-__all__ = ["Transitions", "collect", "evaluate", "leaderboard", "load_transitions", "relabel"]
-_STAGES = ("collect", "relabel", "evaluate", "leaderboard")
+__all__ = ["Transitions", "collect", "evaluate", "load_transitions", "make_leaderboard", "relabel"]
+_STAGES = ("collect", "relabel", "evaluate", "make_leaderboard")
 
 
 def __getattr__(name: str) -> _Any:

@@ -17,7 +17,7 @@ from cudc_bench.errors import UsageError
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
 )
-_RULE = "lower-case letters, digits, '_' and '-', as in 'walker/cudc-v0' or 'walker/walk/cudc-seed2-v0'"
+_RULE = "lower-case letters, digits, '_' and '-', no folder called 'data', as in 'walker/cudc-v0' or 'walker/walk/cudc-seed2-v0'"
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
 """Run records: one JSON file for each evaluated member. The leaderboard reads nothing else.
 
 A record says what was trained on what, with every hyperparameter, every episode's return at every evaluation, and the command that
-makes it again. The schema is versioned; unknown fields and non-finite returns are refused.
+makes it again. The schema is versioned; unknown fields and numbers that are not finite are refused.
 """
 
 from __future__ import annotations
 
-import os
+import json
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cudc_bench.errors import RunError
+from cudc_bench.files import write_atomically
 
 SCHEMA_VERSION = 1
 _Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
-_Return = Annotated[float, Field(allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
@@ -50,7 +51,7 @@ class Evaluation(_Strict):
     """Undiscounted returns of the episodes of one evaluation after so many gradient steps."""
 
     step: Annotated[int, Field(ge=0)]
-    returns: Annotated[list[_Return], Field(min_length=1)]
+    returns: Annotated[list[_Finite], Field(min_length=1)]
 
     @property
     def mean(self) -> float:
@@ -62,7 +63,7 @@ class TrainingMetrics(_Strict):
     """Losses and values of the minibatch after so many gradient steps."""
 
     step: Annotated[int, Field(ge=0)]
-    values: dict[str, float]
+    values: dict[str, _Finite]
 
 
 class Record(_Strict):
@@ -101,7 +102,7 @@ class Record(_Strict):
     curve: Annotated[list[Evaluation], Field(min_length=1)]
     final: Evaluation
     metrics: list[TrainingMetrics] = []
-    seconds: Annotated[float, Field(ge=0)]
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     versions: dict[str, str]
     commit: str | None = None
     dirty: bool = False
@@ -129,7 +130,8 @@ class Record(_Strict):
             changes.append(f"collected at {self.dataset.profile}")
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
             if overrides:
-                changes.append(f"{stage}: " + ", ".join(f"{name}={overrides[name]}" for name in sorted(overrides)))
+                # As JSON, in which no two values look alike.
+                changes.append(f"{stage}: " + ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides)))
         return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
 
     def score(self, milestone: int) -> float | None:
@@ -148,8 +150,15 @@ def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profi
 
 
 def write_record(path: Path, record: Record) -> None:
-    """Write a record atomically: a reader sees the whole file or none."""
-    write_atomically(path, record.model_dump_json(indent=1) + "\n")
+    """Write a record atomically: a reader sees the whole file or none.
+
+    Raises:
+        RunError: it cannot be written there.
+    """
+    try:
+        write_atomically(path, record.model_dump_json(indent=1) + "\n")
+    except OSError as error:
+        raise RunError(f"cannot write the record {path}: {error.strerror}.") from None
 
 
 def read_record(path: Path) -> Record:
@@ -168,17 +177,3 @@ def read_record(path: Path) -> Record:
             where = ".".join(str(part) for part in first["loc"]) or "the file"
             raise RunError(f"{path} is not a run record: {where}: {first['msg']}.") from None
         raise RunError(f"{path} is not a run record: it is not UTF-8 text.") from None
-
-
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file (text as UTF-8) through a temporary neighbour, fsync and one rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

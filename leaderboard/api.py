@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import RunError, UsageError, nearest
+from cudc_bench.files import write_atomically
 from cudc_bench.options import check_folder
-from cudc_bench.records import Record, write_atomically
+from cudc_bench.records import Record
 
 from .figures import curve_files
 from .load import Loaded, load_records
@@ -31,7 +32,7 @@ class Report:
     files: list[Path]
 
 
-def leaderboard(
+def make_leaderboard(
     results: str | Path | Sequence[str | Path] = "results",
     output: str | Path | None = "report",
     profile: str | None = None,

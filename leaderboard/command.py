@@ -23,7 +23,7 @@ def leaderboard(
     from . import api
     from .render import to_rich
 
-    report = api.leaderboard(results or "results", output, profile, domain, algo)
+    report = api.make_leaderboard(results or "results", output, profile, domain, algo)
     screen = Console(highlight=False)
     for table in report.tables:
         screen.print(to_rich(table))

@@ -12,16 +12,19 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from cudc_bench.errors import RunError
-from cudc_bench.ids import DatasetId, dataset_path
+from cudc_bench.files import sync, sync_tree, write_atomically
+from cudc_bench.ids import DatasetId, dataset_path, datasets_root
 
 
 @contextmanager
 def staging(dataset_id: DatasetId, root: Path | None = None) -> Iterator[Path]:
     """A fresh hidden folder in which to build a dataset; :func:`publish` it before leaving.
 
-    What an earlier, killed process left there is removed. A folder that is not published is removed, too.
+    What an earlier, killed process left there is removed; a dataset that it was just about to replace comes back. A folder that is
+    not published is removed, too.
 
     Raises:
         RunError: another living process is building this id, or the root cannot be written.
@@ -32,6 +35,9 @@ def staging(dataset_id: DatasetId, root: Path | None = None) -> Iterator[Path]:
         final.parent.mkdir(parents=True, exist_ok=True)
         with _locked(final.with_name(f".{final.name}.lock"), dataset_id):
             shutil.rmtree(folder, ignore_errors=True)
+            replaced = _replaced(final)
+            if replaced.exists() and not final.exists():
+                replaced.rename(final)
             folder.mkdir()
             try:
                 yield folder
@@ -46,19 +52,30 @@ def staging(dataset_id: DatasetId, root: Path | None = None) -> Iterator[Path]:
 @contextmanager
 def _locked(path: Path, dataset_id: DatasetId) -> Iterator[None]:
     """Hold a lock that the system itself releases when the process dies."""
-    with path.open("a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            raise RunError(f"process {file.read().strip() or 'unknown'} is writing '{dataset_id}'; wait for it to end.") from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
+    while True:
+        with path.open("a+") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                file.seek(0)
+                raise RunError(f"process {file.read().strip() or 'unknown'} is writing '{dataset_id}'; wait for it to end.") from None
+            if not _is_at(path, file):
+                continue  # the holder before us removed it after we had opened it; others lock a new file of that name
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
+
+
+def _is_at(path: Path, file: IO[str]) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Path:
@@ -69,28 +86,26 @@ def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Pa
     """
     final = dataset_path(dataset_id, root)
     sync_tree(folder)
-    replaced = final.with_name(f".{final.name}.replaced")
+    replaced = _replaced(final)
     shutil.rmtree(replaced, ignore_errors=True)
     if final.exists():
         final.rename(replaced)
     folder.rename(final)
     sync(final.parent)
     shutil.rmtree(replaced, ignore_errors=True)
+    _declare_namespaces(final.parent, root or datasets_root())
     return final
 
 
-def sync(path: Path) -> None:
-    """Force a file or folder to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _replaced(final: Path) -> Path:
+    """Where a dataset waits, for an instant, while its successor takes its place."""
+    return final.with_name(f".{final.name}.replaced")
 
 
-def sync_tree(folder: Path) -> None:
-    """Force every file and folder below a folder to the disk."""
-    for place, _, files in os.walk(folder):
-        for name in files:
-            sync(Path(place) / name)
-        sync(Path(place))
+def _declare_namespaces(folder: Path, root: Path) -> None:
+    """Make Minari list the folders above a dataset as namespaces, as its own functions do."""
+    while folder != root:
+        file = folder / "namespace_metadata.json"
+        if not file.exists():
+            write_atomically(file, "{}")
+        folder = folder.parent

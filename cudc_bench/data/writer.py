@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench.data.staging import sync
+from cudc_bench.files import sync
 from cudc_bench.manifest import KEY, FieldHasher, Manifest
 
 Array = NDArray[Any]

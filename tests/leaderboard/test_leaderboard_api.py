@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.leaderboard.api import leaderboard
+from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 
 FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf"}
@@ -16,7 +16,7 @@ FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf"}
 
 def test_writes_five_files_for_each_table(make_record, save, tmp_path):
     results = save(make_record(), make_record(profile="paper"))
-    report = leaderboard(results, tmp_path / "out")
+    report = make_leaderboard(results, tmp_path / "out")
     assert [table.slug for table in report.tables] == ["cpu.td3.walker", "paper.td3.walker"]
     assert set(report.files) == {tmp_path / "out" / table.slug / name for table in report.tables for name in FILES}
     assert sorted(p for p in (tmp_path / "out").rglob("*") if p.is_file()) == sorted(report.files)
@@ -25,7 +25,7 @@ def test_writes_five_files_for_each_table(make_record, save, tmp_path):
 
 def test_two_builds_give_identical_bytes(make_record, save, tmp_path):
     results = save(*(make_record(method=m, seed=s) for m in ("cudc", "icm") for s in (1, 2)))
-    built = [leaderboard(results, tmp_path / name).files for name in ("a", "b")]
+    built = [make_leaderboard(results, tmp_path / name).files for name in ("a", "b")]
     assert len(built[0]) == 5
     for first, second in zip(*built, strict=True):
         assert first.read_bytes() == second.read_bytes()
@@ -35,7 +35,7 @@ def test_without_output_nothing_is_written(make_record, save, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     save(make_record())
     before = sorted(tmp_path.rglob("*"))
-    report = leaderboard(output=None)
+    report = make_leaderboard(output=None)
     assert (len(report.tables), report.files) == (1, [])
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -49,7 +49,7 @@ def test_filters(make_record, save):
     )
 
     def slugs(**wanted):
-        return [table.slug.split(".") for table in leaderboard(results, None, **wanted).tables]
+        return [table.slug.split(".") for table in make_leaderboard(results, None, **wanted).tables]
 
     assert len(slugs()) == 4
     assert [slug[0][:12] for slug in slugs(profile="paper")] == ["paper-evalua"]
@@ -68,7 +68,7 @@ def test_filters(make_record, save):
 def test_unknown_filters_are_refused_with_what_there_is(wanted, named, make_record, save):
     results = save(make_record(), make_record(profile="paper"))
     with pytest.raises(UsageError) as caught:
-        leaderboard(results, None, **wanted)
+        make_leaderboard(results, None, **wanted)
     assert all(part in str(caught.value) for part in named)
     assert "\n" not in str(caught.value)
 
@@ -77,27 +77,27 @@ def test_missing_or_empty_results_say_what_to_run(tmp_path):
     (tmp_path / "empty").mkdir()
     for path in (tmp_path / "none", tmp_path / "empty"):
         with pytest.raises(UsageError, match=r"cudc-bench evaluate --algo td3") as caught:
-            leaderboard(path, None)
+            make_leaderboard(path, None)
         assert str(path) in str(caught.value)
 
 
 def test_only_broken_records_says_why(tmp_path):
     (tmp_path / "x.json").write_text("{}")
     with pytest.raises(UsageError, match=r"x\.json is not a run record"):
-        leaderboard(tmp_path, None)
+        make_leaderboard(tmp_path, None)
 
 
 def test_an_output_that_cannot_be_a_folder_is_refused(make_record, save, tmp_path):
     (tmp_path / "out").write_text("in the way")
     with pytest.raises(UsageError, match="out"):
-        leaderboard(save(make_record()), tmp_path / "out")
+        make_leaderboard(save(make_record()), tmp_path / "out")
 
 
 def test_a_failed_write_is_one_line_and_leaves_no_part(make_record, save, tmp_path):
     blocked = tmp_path / "out" / "cpu.td3.walker" / "table.tex"
     blocked.mkdir(parents=True)
     with pytest.raises(RunError) as caught:
-        leaderboard(save(make_record()), tmp_path / "out")
+        make_leaderboard(save(make_record()), tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert not list((tmp_path / "out").rglob("*.tmp"))
 
@@ -145,10 +145,10 @@ def modules_after(code):
 def test_needs_neither_torch_nor_a_simulator(make_record, save, tmp_path):
     paths = (str(save(make_record())), str(tmp_path / "out"))
     loaded = modules_after(
-        "from cudc_bench.leaderboard.api import leaderboard\n"
+        "from cudc_bench.leaderboard.api import make_leaderboard\n"
         "from cudc_bench.leaderboard.load import load_records, to_frame\n"
         "from cudc_bench.leaderboard.render import to_rich\n"
-        f"report = leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)"
+        f"report = make_leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)"
     )
     assert {"matplotlib", "jinja2", "pandas"} <= loaded
     assert not loaded & {"torch", "dm_control", "mujoco", "minari"}

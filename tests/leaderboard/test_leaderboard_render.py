@@ -143,7 +143,7 @@ def test_latex_of_hostile_text_has_no_live_character(hostile):
     assert r"100\% \{z\} \textasciitilde{} \textasciicircum{}" in text
     assert r"\$m\$ \#1" in text
     assert r"\_b\_" in text
-    assert "-{}- [31m new" in text
+    assert r"-{}- \textbackslash{}u001b[31m\textbackslash{}nnew" in text
 
 
 @pytest.mark.parametrize(
