@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ from typing import Any
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.config import as_dict, build, check_settings, config_hash
+from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes, write_metadata
 from cudc_bench.envs import DOMAINS, check_domain
@@ -22,11 +21,11 @@ from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, check_free, fingerprint
-from cudc_bench.options import check_folder, format_seeds
+from cudc_bench.options import check_folder, check_seeds, format_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.provenance import commit, machine, versions
+from cudc_bench.provenance import command_line, commit, machine, versions
 
 from .base import Space
 from .loop import CollectConfig, run_collection
@@ -43,6 +42,7 @@ def collect(
     overwrite: bool = False,
     device: str = "auto",
     workers: int | None = 1,
+    check_only: bool = False,
 ) -> list[str]:
     """Explore a domain without rewards and write one Minari dataset for each seed.
 
@@ -56,6 +56,7 @@ def collect(
         overwrite: replace datasets that exist.
         device: ``cpu``, ``cuda`` or ``auto``.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
+        check_only: stop before the work starts; wrong input has been refused by then.
 
     Returns:
         The ids of the datasets, in the order of the seeds.
@@ -69,12 +70,10 @@ def collect(
     chosen = resolve_profile(profile)
     settings = dict(settings or {})
     check_settings(settings, [CollectConfig, kind.config_class])
-    loop = build(CollectConfig, chosen.collect, settings)
-    config = build(kind.config_class, chosen.collect, kind.domain_values.get(domain, {}), settings)
-    values = as_dict(loop, config)
-    overrides = {name: values[name] for name in settings}
-    if not seeds:
-        raise UsageError("no seed was given; give at least one.")
+    layers = (chosen.collect, kind.domain_values.get(domain, {}))
+    loop, config = (build(one, *layers, settings) for one in (CollectConfig, kind.config_class))
+    overrides = changed(as_dict(loop, config), as_dict(*(build(one, *layers) for one in (CollectConfig, kind.config_class))))
+    seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
     ids = [parse_id(dataset_id) if dataset_id else default_id(domain, method, seed) for seed in seeds]
@@ -91,9 +90,12 @@ def collect(
     if probe.max_horizon > facts.episode_length:
         raise UsageError(f"a horizon of {probe.max_horizon} steps does not fit into episodes of {facts.episode_length}.")
     del probe
+    groups = [list(range(len(seeds)))] if device == "cuda" else [[index] for index in range(len(seeds))]
+    count = 1 if device == "cuda" else worker_count(workers, len(groups))
+    if check_only:
+        return [str(one) for one in ids]
 
     say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {loop.steps:,} steps each, {device}")
-    groups = [list(range(len(seeds)))] if device == "cuda" else [[index] for index in range(len(seeds))]
     jobs = [
         Job(
             description=f"{method} seed {format_seeds([seeds[i] for i in group])}",
@@ -105,7 +107,6 @@ def collect(
         )
         for group in groups
     ]  # fmt: skip
-    count = 1 if device == "cuda" else worker_count(workers, len(jobs))
     run_jobs(collect_members, jobs, unit="steps", workers=count, threads=chosen.threads)
     for one in ids:
         say(f"wrote {one} to {dataset_path(one)}")
@@ -165,12 +166,10 @@ def _space(domain: str, loop: CollectConfig) -> Space:
 
 
 def _command(method: str, domain: str, seed: int, profile: str, overrides: Mapping[str, Any], dataset_id: DatasetId) -> str:
-    words = ["cudc-bench", "collect", "--domain", domain, "--method", method, "--seed", str(seed), "--profile", profile]
-    for name, value in overrides.items():
-        words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
+    options = {"--domain": domain, "--method": method, "--seed": str(seed), "--profile": profile}
     if dataset_id != default_id(domain, method, seed):
-        words += ["--dataset-id", str(dataset_id)]
-    return shlex.join(words)
+        options["--dataset-id"] = str(dataset_id)
+    return command_line("collect", options, overrides)
 
 
 class _Sink:

@@ -42,11 +42,16 @@ def collect(
     if dataset_id is not None and len(methods) > 1:
         raise UsageError("--dataset-id names one dataset, but there are several methods; leave it out.")
     ids: list[str] = []
-    for name in methods:
-        ids += run(
-            name, domain, parse_seeds(seeds), profile=profile, settings=parse_settings(settings or []), dataset_id=dataset_id,
-            overwrite=overwrite, device=device, workers=workers,
-        )  # fmt: skip
+    # All input is checked before any work starts, the last method's before the first one's.
+    for check_only in (True, False):
+        ids = [
+            one
+            for name in methods
+            for one in run(
+                name, domain, parse_seeds(seeds), profile=profile, settings=parse_settings(settings or []), dataset_id=dataset_id,
+                overwrite=overwrite, device=device, workers=workers, check_only=check_only,
+            )
+        ]  # fmt: skip
     for one in ids:
         print(one)
     say(f"next: cudc-bench relabel {ids[0]}, or in Python: minari.load_dataset('{ids[0]}')")

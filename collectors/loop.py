@@ -13,7 +13,7 @@ import torch
 from cudc_bench.config import NonNegativeInt, PositiveInt
 from cudc_bench.envs import Domain, simulator_class
 from cudc_bench.envs.simulator import Float32, Float64
-from cudc_bench.errors import RunError
+from cudc_bench.metrics import member_rows
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Episodes
 from cudc_bench.seeding import episode_seed
@@ -110,16 +110,7 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
             metrics = collector.update(batch)
             updates += 1
             if measure:
-                _report(metrics, step + 1, updates, sinks)
+                for sink, row in zip(sinks, member_rows(metrics, step + 1), strict=True):
+                    sink.add_diagnostics({"step": step + 1, "updates": updates} | row)
         if t % 200 == 199 or done:
             advance(200 if t % 200 == 199 else (t + 1) % 200)
-
-
-def _report(metrics: dict[str, torch.Tensor], step: int, updates: int, sinks: list[Sink]) -> None:
-    values = {name: value.tolist() for name, value in metrics.items()}
-    for member, sink in enumerate(sinks):
-        row = {name: value[member] for name, value in values.items()}
-        broken = [name for name, value in row.items() if not math.isfinite(value)]
-        if broken:
-            raise RunError(f"training broke down at step {step}: {', '.join(broken)} is not finite; try a smaller learning_rate.")
-        sink.add_diagnostics({"step": step, "updates": updates} | row)

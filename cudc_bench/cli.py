@@ -50,14 +50,26 @@ def main(arguments: list[str] | None = None) -> None:
         _complain(str(error))
         code = error.exit_code
     except _CommandLineError as error:
-        _complain(error.format_message())  # type: ignore[attr-defined]
+        # Without any argument the help has been shown, and there is nothing to say.
+        if message := error.format_message():  # type: ignore[attr-defined]
+            _complain(message)
         code = 2
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted.")
         code = 130
     except BrokenPipeError:
         code = 1
+    except (MemoryError, RuntimeError) as error:
+        if not _is_out_of_memory(error):
+            raise
+        _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.")
+        code = 1
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    """Whether NumPy or PyTorch could not get the memory; PyTorch says so in a RuntimeError's text only."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
 
 
 def _complain(message: str) -> None:

@@ -18,8 +18,9 @@ from cudc_bench.errors import UsageError, nearest
 
 ConfigT = TypeVar("ConfigT")
 
-PositiveInt = Annotated[int, Field(ge=1)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
+# The upper bound is beyond any run, and keeps slips of the keyboard out of the arithmetic of sizes.
+PositiveInt = Annotated[int, Field(ge=1, le=10**10)]
+NonNegativeInt = Annotated[int, Field(ge=0, le=10**10)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -103,6 +104,11 @@ def as_dict(*configs: Any) -> dict[str, Any]:
                 raise ValueError(f"two configurations of one run have a field '{name}'")
             merged[name] = list(value) if isinstance(value, tuple) else value
     return merged
+
+
+def changed(values: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that differ from those of the plain profile: what a run's settings really changed."""
+    return {name: value for name, value in values.items() if value != plain[name]}
 
 
 def config_hash(values: Mapping[str, Any]) -> str:

@@ -45,6 +45,24 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         if last < first or last - first >= 1000:
             raise UsageError(f"--seeds cannot have the range '{part.strip()}'; it must ascend, over at most 1,000 seeds.")
         seeds |= dict.fromkeys(range(first, last + 1))
+        if len(seeds) > 1000:
+            raise UsageError("--seeds cannot have more than 1,000 seeds; split them over several runs.")
+    return tuple(seeds)
+
+
+def check_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
+    """Refuse seeds that cannot be used together.
+
+    Raises:
+        UsageError: there is none, one is negative, or one is given twice.
+    """
+    if not seeds:
+        raise UsageError("no seed was given; give at least one.")
+    for seed in seeds:
+        if seed < 0:
+            raise UsageError(f"a seed cannot be {seed}; it must be 0 or more.")
+        if list(seeds).count(seed) > 1:
+            raise UsageError(f"the seed {seed} was given twice; give it once.")
     return tuple(seeds)
 
 
@@ -76,8 +94,8 @@ def check_folder(path: str | Path, what: str) -> Path:
 
 
 def format_seeds(seeds: Sequence[int]) -> str:
-    """The shortest way to write some seeds as ``--seeds``."""
+    """A short way to write some different seeds as ``--seeds``."""
     ordered = sorted(seeds)
-    if len(ordered) > 2 and ordered == list(range(ordered[0], ordered[-1] + 1)):
+    if len(ordered) > 2 and len(ordered) == ordered[-1] - ordered[0] + 1:
         return f"{ordered[0]}-{ordered[-1]}"
     return ",".join(map(str, ordered))

@@ -84,6 +84,12 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
     try:
         futures = [pool.submit(_call, function, index, job.arguments) for index, job in enumerate(jobs)]
         return [future.result() for future in futures]
+    except KeyboardInterrupt:
+        # From a terminal the workers were interrupted, too; a signal sent to this process alone has to be passed on.
+        for child in multiprocessing.active_children():
+            if child.pid is not None:
+                os.kill(child.pid, signal.SIGINT)
+        raise
     except BrokenProcessPool:
         raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
     finally:
@@ -98,13 +104,29 @@ def _start_worker(queue: Any, threads: int) -> None:
     _queue = queue
     # Ctrl-C reaches every process of the terminal; a worker leaves quietly, through its own clean-up.
     signal.signal(signal.SIGINT, lambda *_: sys.exit(130))
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     import torch
 
     torch.set_num_threads(threads)
 
 
+def _leave_with_parent() -> None:
+    """End this worker when the process that wants its result was killed; it would compute to the end for nobody."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGINT)
+
+
 def _call(function: Callable[..., Any], index: int, arguments: dict[str, Any]) -> Any:
-    return function(lambda n: _queue.put((index, n)), **arguments)
+    try:
+        return function(lambda n: _queue.put((index, n)), **arguments)
+    except SystemExit:
+        # The job has cleaned up. The pool would now report this to the parent and wait for the next job, though nobody may be there.
+        parent = multiprocessing.parent_process()
+        if parent is not None and not parent.is_alive():
+            os._exit(130)
+        raise
 
 
 def _listen(queue: Any, advances: list[Any]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import shlex
 import subprocess
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -53,6 +56,21 @@ def processor() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
+
+
+def command_line(command: str, options: Mapping[str, str], overrides: Mapping[str, Any], *flags: str) -> str:
+    """The command that makes something again, quoted for a shell.
+
+    Args:
+        command: the sub-command, with its arguments.
+        options: name to value, as ``{"--seed": "1"}``.
+        overrides: hyperparameters for ``--set``.
+        flags: options without a value.
+    """
+    words = ["cudc-bench", *command.split(), *(word for option in options.items() for word in option)]
+    for name, value in overrides.items():
+        words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
+    return shlex.join([*words, *flags])
 
 
 def machine(device: str, threads: int) -> dict[str, Any]:

@@ -11,10 +11,26 @@ from collections.abc import Sequence
 from cudc_bench import plugins
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import default_id, parse_id
+from cudc_bench.ids import DatasetId, default_id, parse_id
 from cudc_bench.manifest import Manifest, exists, read_manifest
 from cudc_bench.profiles import resolve_profile
 from cudc_bench.progress import say
+
+
+def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: str) -> list[DatasetId]:
+    """The default ids of a method's datasets, whether they exist or not.
+
+    Raises:
+        UsageError: wrong input, or a dataset exists that was collected at another profile.
+    """
+    plugins.check_name("collectors", method)
+    check_domain(domain)
+    name = resolve_profile(profile).name
+    ids = [default_id(domain, method, seed) for seed in seeds]
+    for one in ids:
+        if exists(one):
+            check_profile(read_manifest(one), str(one), name)
+    return ids
 
 
 def ensure_collected(
@@ -25,12 +41,7 @@ def ensure_collected(
     Raises:
         UsageError: wrong input, or a dataset exists that was collected at another profile.
     """
-    plugins.check_name("collectors", method)
-    check_domain(domain)
-    ids = [default_id(domain, method, seed) for seed in seeds]
-    for one in ids:
-        if exists(one):
-            check_profile(read_manifest(one), str(one), profile)
+    ids = check_collected(method, domain, seeds, profile=profile)
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
         say(f"{', '.join(str(default_id(domain, method, seed)) for seed in missing)} missing: collecting first")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -13,18 +11,18 @@ from typing import Any
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.config import as_dict, build, check_settings, config_hash
+from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.errors import UsageError
-from cudc_bench.ids import datasets_root, parse_id
+from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, read_manifest
 from cudc_bench.networks import MemberRandom
-from cudc_bench.options import check_folder
+from cudc_bench.options import check_folder, check_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.provenance import commit, machine, versions
+from cudc_bench.provenance import command_line, commit, machine, versions
 from cudc_bench.records import (
     DatasetReference,
     Evaluation,
@@ -35,7 +33,7 @@ from cudc_bench.records import (
     write_record,
 )
 from cudc_bench.replay import Episodes
-from cudc_bench.stages import check_profile, ensure_collected, ensure_relabelled
+from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
 
 from .loop import EvaluateConfig, Outcome, run_evaluation
 
@@ -85,17 +83,21 @@ def evaluate(
     chosen = resolve_profile(profile)
     settings = dict(settings or {})
     check_settings(settings, [EvaluateConfig, kind.config_class])
-    loop = build(EvaluateConfig, chosen.evaluate, settings)
-    config = build(kind.config_class, chosen.evaluate, settings)
+    loop, config = (build(one, chosen.evaluate, settings) for one in (EvaluateConfig, kind.config_class))
     check_milestones(loop)
     values = as_dict(loop, config)
-    overrides = {name: values[name] for name in settings}
+    overrides = changed(values, as_dict(*(build(one, chosen.evaluate) for one in (EvaluateConfig, kind.config_class))))
     results = check_folder(output, "the output")
     check_folder(datasets_root(), "the dataset root")
     device = resolve_device(device)
-    check_tasks(check_domain(domain), tasks)
-    for method in methods:
-        plugins.check_name("collectors", method)
+    worker_count(workers, 1)
+    if not check_tasks(check_domain(domain), tasks):
+        raise UsageError(f"no task was given; allowed: {', '.join(check_domain(domain).tasks)}.")
+    seeds = check_seeds(seeds)
+    if not methods:
+        raise UsageError("no method was given; see cudc-bench list.")
+    for method in () if dataset_id else methods:
+        check_collected(method, domain, seeds, profile=profile)
 
     ids = _datasets(domain, tasks, methods, seeds, dataset_id, profile=profile, device=device, workers=workers)
     manifests = {one: read_manifest(one) for one in ids}
@@ -206,6 +208,8 @@ def _datasets(
         manifest = read_manifest(parse_id(dataset_id))
         check_profile(manifest, dataset_id, profile)
         if manifest.task is not None:
+            if tasks is not None and manifest.task not in tasks:
+                raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(tasks)}; leave out --tasks.")
             return [dataset_id]
         bases = [dataset_id]
     return [one for base in bases for one in ensure_relabelled(base, tasks)]
@@ -231,9 +235,14 @@ def _record(
 ) -> Record:  # fmt: skip
     values = as_dict(loop, config)
     head, dirty = commit()
-    words = ["cudc-bench", "evaluate", "--algo", algo, "--profile", profile, "--dataset-id", dataset_id]
-    for name, value in overrides.items():
-        words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
+    options = {"--algo": algo, "--profile": profile}
+    usual = default_id(manifest.domain, manifest.method, manifest.seed).for_task(str(manifest.task))
+    if dataset_id == str(usual) and not manifest.overrides:
+        # Written like this, the command also makes the datasets anew where they are missing.
+        options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}
+        options["--task"] = str(manifest.task)
+    else:
+        options["--dataset-id"] = dataset_id
     return Record(
         dataset=DatasetReference(
             id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
@@ -254,6 +263,6 @@ def _record(
         commit=head,
         dirty=dirty,
         machine=machine(device, torch.get_num_threads()),
-        command=shlex.join([*words, "--overwrite"]),
+        command=command_line("evaluate", options, overrides, "--overwrite"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip

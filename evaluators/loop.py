@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,7 @@ import torch
 from cudc_bench.config import PositiveInt
 from cudc_bench.envs import Domain, reward_function, simulator_class
 from cudc_bench.envs.simulator import Float64
-from cudc_bench.errors import RunError
+from cudc_bench.metrics import member_rows
 from cudc_bench.replay import Episodes
 from cudc_bench.seeding import episode_seed
 
@@ -124,20 +123,11 @@ def run_evaluation(
         measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
         metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure))
         if measure:
-            _record(metrics, step + 1, outcomes)
+            for outcome, row in zip(outcomes, member_rows(metrics, step + 1), strict=True):
+                outcome.metrics.append((step + 1, row))
         if (step + 1) % 100 == 0 or step + 1 == config.gradient_steps:
             advance(100 if (step + 1) % 100 == 0 else (step + 1) % 100)
     found = arena.returns(agent, episode_seeds("final evaluation", config.gradient_steps, config.final_episodes))
     for outcome, row in zip(outcomes, found, strict=True):
         outcome.final.extend(row.tolist())
     return outcomes
-
-
-def _record(metrics: dict[str, torch.Tensor], step: int, outcomes: list[Outcome]) -> None:
-    values = {name: value.tolist() for name, value in metrics.items()}
-    for member, outcome in enumerate(outcomes):
-        row = {name: value[member] for name, value in values.items()}
-        broken = [name for name, value in row.items() if not math.isfinite(value)]
-        if broken:
-            raise RunError(f"training broke down at gradient step {step}: {', '.join(broken)} is not finite.")
-        outcome.metrics.append((step, row))

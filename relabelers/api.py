@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -20,7 +19,7 @@ from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.manifest import Base, FieldHasher, Manifest, check_free, fingerprint, read_manifest
 from cudc_bench.options import check_folder
 from cudc_bench.progress import bars, say
-from cudc_bench.provenance import commit, machine, versions
+from cudc_bench.provenance import command_line, commit, machine, versions
 
 from .linked import write_linked
 
@@ -33,6 +32,7 @@ def relabel(
     *,
     standalone: bool = False,
     overwrite: bool = False,
+    check_only: bool = False,
 ) -> list[str]:
     """Compute the rewards of tasks from a dataset's physics states and write one Minari dataset for each task.
 
@@ -41,6 +41,7 @@ def relabel(
         tasks: of its domain; all of them unless given. One pass over the states serves all.
         standalone: copy the base's arrays instead of linking to them.
         overwrite: replace relabelled datasets that exist.
+        check_only: stop before the work starts; wrong input has been refused by then.
 
     Returns:
         The ids of the relabelled datasets, such as ``walker/walk/cudc-v0``, in the domain's order of tasks.
@@ -64,6 +65,8 @@ def relabel(
     for one in ids.values():
         check_free(one, overwrite)
     check_folder(datasets_root(), "the dataset root")
+    if check_only:
+        return [str(one) for one in ids.values()]
 
     say(f"relabel {base_id} ({base.describe()}) for {', '.join(chosen)}")
     started = time.monotonic()
@@ -100,7 +103,7 @@ def _write(
         hasher.update("rewards", episode)
     fields = base.fields | hasher.digests()
     head, dirty = commit()
-    words = ["cudc-bench", "relabel", str(base_id), "--task", task, *(["--standalone"] if standalone else [])]
+    flags = ["--standalone"] if standalone else []
     manifest = base.model_copy(
         update={
             "task": task,
@@ -113,7 +116,7 @@ def _write(
             "machine": machine("cpu", 1),
             "seconds": round(time.monotonic() - started, 1),
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "command": shlex.join(words),
+            "command": command_line(f"relabel {base_id}", {"--task": task}, {}, *flags),
         }
     )
     description = f"{base_id} with the rewards of {base.domain} {task}; reward t is that of the state which action t led to."

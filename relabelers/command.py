@@ -35,17 +35,30 @@ def relabel(
     workers: WorkersOption = None,
 ) -> None:
     """Compute the rewards of tasks from stored physics states."""
+    from cudc_bench.envs import check_domain, check_tasks
+    from cudc_bench.ids import default_id
+    from cudc_bench.manifest import check_free
     from cudc_bench.progress import say
-    from cudc_bench.stages import ensure_collected
+    from cudc_bench.stages import check_collected, ensure_collected
 
     from .api import relabel as run
 
-    wanted = list(dataset_ids or [])
-    for name in () if wanted else parse_names(method):
-        wanted += ensure_collected(name, domain, parse_seeds(seeds), profile=profile, workers=workers)
+    chosen, wanted = parse_tasks(tasks), list(dataset_ids or [])
+    if not wanted:
+        methods, numbers = parse_names(method), parse_seeds(seeds)
+        for name in methods:
+            check_collected(name, domain, numbers, profile=profile)
+            for seed in numbers:
+                for task in check_tasks(check_domain(domain), chosen):
+                    check_free(default_id(domain, name, seed).for_task(task), overwrite)
+        for name in methods:
+            wanted += ensure_collected(name, domain, numbers, profile=profile, workers=workers)
     if not wanted:
         raise UsageError("no dataset was named; give an id such as walker/cudc-v0.")
-    ids = [one for base in wanted for one in run(base, parse_tasks(tasks), standalone=standalone, overwrite=overwrite)]
+    ids: list[str] = []
+    # All datasets are checked before any work starts, the last one before the first.
+    for check_only in (True, False):
+        ids = [one for base in wanted for one in run(base, chosen, standalone=standalone, overwrite=overwrite, check_only=check_only)]
     for one in ids:
         print(one)
     say("next: cudc-bench evaluate --algo td3")
