@@ -1,0 +1,92 @@
+"""Fixtures for all tests: a Minari root for each test, one small dataset collected once, and the command line as a process."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import hypothesis
+import pytest
+
+import cudc_bench
+
+# Before PyTorch is loaded, here and in the processes that tests start: the tests already share the cores among them, and threads that
+# wait for each other on a busy core take many times as long as one thread alone.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+TASKS = ("stand", "walk", "run", "flip")
+
+# Time limits on a single example fail on a busy machine and prove nothing.
+hypothesis.settings.register_profile("cudc_bench", deadline=None, print_blob=True)
+hypothesis.settings.load_profile("cudc_bench")
+
+
+class Finished(NamedTuple):
+    """How a process ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture(autouse=True)
+def datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The test's own Minari root, which does not exist yet."""
+    root = tmp_path_factory.mktemp("minari") / "datasets"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    monkeypatch.delenv("CUDC_BENCH_PROFILE", raising=False)
+    return root
+
+
+@pytest.fixture(scope="session")
+def collected_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root with ``walker/cudc-v0`` at the smoke profile and its four relabelled sets; never to be changed."""
+    root = tmp_path_factory.mktemp("collected") / "datasets"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(root))
+        assert cudc_bench.collect("cudc", profile="smoke") == ["walker/cudc-v0"]
+        assert cudc_bench.relabel("walker/cudc-v0") == [f"walker/{task}/cudc-v0" for task in TASKS]
+    return root
+
+
+@pytest.fixture
+def smoke(collected_once: Path, datasets: Path) -> Path:
+    """The test's own copy of the collected datasets, in its root."""
+    shutil.copytree(collected_once, datasets)
+    return datasets
+
+
+@pytest.fixture
+def environment(datasets: Path) -> dict[str, str]:
+    """What processes get: the test's root, wide tables, and the smoke profile, so that none starts hours of work by mistake."""
+    return os.environ | {"MINARI_DATASETS_PATH": str(datasets), "CUDC_BENCH_PROFILE": "smoke", "COLUMNS": "200"}
+
+
+@pytest.fixture
+def cli(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finished]:
+    """Runs ``cudc-bench`` as a process in ``tmp_path``."""
+
+    def run(*arguments: str, env: Mapping[str, str] | None = None) -> Finished:
+        command = [sys.executable, "-m", "cudc_bench.cli", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment | dict(env or {}), capture_output=True, text=True, timeout=300)
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture
+def python(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finished]:
+    """Runs a script in a fresh interpreter in ``tmp_path``."""
+
+    def run(script: str, *arguments: str, without: tuple[str, ...] = ()) -> Finished:
+        env = {name: value for name, value in environment.items() if name not in without}
+        command = [sys.executable, "-c", script, *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+    return run

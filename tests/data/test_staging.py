@@ -1,0 +1,240 @@
+"""Whatever ends a run, nothing half-written is ever visible, and the same command then succeeds."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO
+
+import minari
+import pytest
+
+import cudc_bench
+from cudc_bench.data.reader import verify_fingerprint
+from cudc_bench.data.staging import publish, staging
+from cudc_bench.errors import RunError
+from cudc_bench.ids import parse_id
+from cudc_bench.manifest import read_manifest
+
+ID = parse_id("walker/made-v0")
+LONG = {"steps": 10_000}  # about a second
+COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=10000"]
+
+
+def everything(root: Path) -> list[str]:
+    return sorted(path.relative_to(root).as_posix() for path in root.rglob("*"))
+
+
+def files(name: str) -> list[str]:
+    """What a finished dataset consists of."""
+    return [name, *(f"{name}/{file}" for file in ("data", "data/main_data.hdf5", "data/metadata.json", "diagnostics.jsonl"))]
+
+
+@contextmanager
+def started(command: list[str], **arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """A process that does not outlive the test."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **arguments)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    """Until a path exists, which the living process makes."""
+    deadline = time.monotonic() + 120
+    while not path.exists():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline, f"{path} never came"
+        time.sleep(0.001)
+
+
+def break_off(error: BaseException) -> None:
+    """Start building a dataset, and stop."""
+    with staging(ID) as folder:
+        (folder / "data").mkdir()
+        (folder / "data" / "main_data.hdf5").write_text("half")
+        assert minari.list_local_datasets() == {}
+        raise error
+
+
+@pytest.mark.parametrize("error", [ValueError(), RunError("stop"), KeyboardInterrupt(), SystemExit()], ids=repr)
+def test_an_exception_leaves_nothing_behind(error: BaseException, datasets: Path) -> None:
+    with pytest.raises(type(error)):
+        break_off(error)
+    assert everything(datasets) == ["walker"]
+
+
+def test_an_operating_systems_error_becomes_one_line(datasets: Path) -> None:
+    with pytest.raises(RunError, match=r"^cannot write 'walker/made-v0' below .*: No space left on device; free some space") as caught:
+        break_off(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    assert "\n" not in str(caught.value)
+    assert everything(datasets) == ["walker"]
+
+
+def test_a_root_that_is_a_file_becomes_one_line(datasets: Path) -> None:
+    datasets.write_text("")
+    with pytest.raises(RunError, match="cannot write 'walker/made-v0'"), staging(ID):
+        pytest.fail("there is nowhere to write")
+
+
+def test_what_is_not_published_never_existed(datasets: Path) -> None:
+    with staging(ID) as folder:
+        (folder / "file").write_text("")
+    assert everything(datasets) == ["walker"]
+
+
+def test_what_a_killed_process_left_is_removed(datasets: Path) -> None:
+    left = datasets / "walker" / ".made-v0.building"
+    left.mkdir(parents=True)
+    (left / "old").write_text("")
+    (datasets / "walker" / ".made-v0.lock").write_text("1")
+    with staging(ID) as folder:
+        assert everything(folder) == []
+        (folder / "new").write_text("")
+        publish(folder, ID)
+    assert everything(datasets / "walker") == ["made-v0", "made-v0/new", "namespace_metadata.json"]
+
+
+def test_publishing_replaces_the_whole_dataset(datasets: Path) -> None:
+    for name in ("first", "second"):
+        with staging(ID) as folder:
+            (folder / name).write_text("")
+            publish(folder, ID)
+    assert everything(datasets / "walker") == ["made-v0", "made-v0/second", "namespace_metadata.json"]
+
+
+def test_what_was_being_replaced_when_the_process_died_comes_back(datasets: Path) -> None:
+    aside = datasets / "walker" / ".made-v0.replaced"
+    aside.mkdir(parents=True)
+    (aside / "old").write_text("")
+    with pytest.raises(RuntimeError, match="collecting failed"), staging(ID):
+        raise RuntimeError("collecting failed")
+    assert everything(datasets / "walker") == ["made-v0", "made-v0/old"]
+
+
+def test_minari_lists_the_namespaces_and_their_descriptions_are_kept(datasets: Path) -> None:
+    minari.namespace.create_namespace("walker", description="somebody's own words")
+    for one in (ID, ID.for_task("walk"), parse_id("other/made-v0")):
+        with staging(one) as folder:
+            publish(folder, one)
+    assert minari.namespace.list_local_namespaces() == ["other", "walker", "walker/walk"]
+    assert minari.namespace.get_namespace_metadata("walker") == {"description": "somebody's own words"}
+
+
+def test_a_second_writer_is_told_who_writes_and_touches_nothing(datasets: Path) -> None:
+    with staging(ID) as folder:
+        (folder / "file").write_text("")
+        with pytest.raises(RunError, match=rf"^process {os.getpid()} is writing 'walker/made-v0'; wait for it to end\.$"), staging(ID):
+            pytest.fail("two writers")
+        with staging(parse_id("walker/other-v0")):
+            pass
+        assert (folder / "file").exists()
+        publish(folder, ID)
+    assert (datasets / "walker" / "made-v0" / "file").exists()
+
+
+def test_a_lock_file_that_its_holder_removed_is_no_lock(datasets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first writer ends between the second one's opening and locking of the lock file; a third must still be refused."""
+    first, real = ExitStack(), fcntl.flock
+    first.enter_context(staging(ID))
+
+    def flock(file: IO[str], operation: int) -> None:
+        first.close()
+        real(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with (
+        staging(ID),
+        pytest.raises(RunError, match=rf"^process {os.getpid()} is writing 'walker/made-v0'"),
+        staging(ID),
+    ):
+        pytest.fail("two writers")
+
+
+# A process that dies at its n-th call of one function of the operating system, before or after the call itself.
+DYING = """
+import os, signal, sys
+name, number, when = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+real, calls = getattr(os, name), 0
+def dying(*arguments, **keywords):
+    global calls
+    calls += 1
+    if calls == number and when == "before":
+        os.kill(os.getpid(), signal.SIGKILL)
+    result = real(*arguments, **keywords)
+    if calls == number:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return result
+setattr(os, name, dying)
+from cudc_bench.cli import main
+main(sys.argv[4:])
+"""
+
+
+@pytest.mark.parametrize(
+    ("function", "number", "when", "finished"),
+    [
+        ("fsync", 1, "before", False),  # the first shard is written, but not yet on the disk
+        ("fsync", 2, "after", False),  # the dataset is written, but not yet on the disk
+        ("rename", 1, "before", False),  # everything is on the disk, but not yet in its place
+        ("rename", 1, "after", True),
+    ],
+)
+def test_killed_at_its_worst_moments_a_run_is_either_whole_or_invisible(
+    function: str, number: int, when: str, finished: bool, datasets: Path, python: Callable
+) -> None:
+    undisturbed = cudc_bench.collect("random", profile="smoke", dataset_id="walker/undisturbed-v0")
+    killed = python(DYING, function, str(number), when, "collect", "--method", "random", "--dataset-id", str(ID))
+    assert killed.code == -signal.SIGKILL
+    assert set(minari.list_local_datasets()) == {*undisturbed, *([str(ID)] if finished else [])}
+    if not finished:
+        assert not (datasets / str(ID)).exists()
+        cudc_bench.collect("random", profile="smoke", dataset_id=str(ID))
+    assert verify_fingerprint(str(ID)) == read_manifest(*undisturbed).fingerprint
+    assert len(list(minari.load_dataset(str(ID)).iterate_episodes())) == 3
+
+
+def test_killed_while_it_collects_a_run_leaves_nothing_and_can_be_repeated(
+    datasets: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    undisturbed = cudc_bench.collect("random", profile="smoke", settings=LONG, dataset_id="walker/undisturbed-v0")
+    building = datasets / "walker" / ".made-v0.building"
+    with started([*COLLECT, "--dataset-id", str(ID)], env=environment, cwd=tmp_path) as process:
+        wait_for(building / "diagnostics.jsonl", process)
+        process.kill()
+        process.communicate()
+        assert process.returncode == -signal.SIGKILL
+    assert building.exists(), "it was not killed in the middle"
+    assert list(minari.list_local_datasets()) == undisturbed
+    assert cudc_bench.collect("random", profile="smoke", settings=LONG, dataset_id=str(ID)) == [str(ID)]
+    assert verify_fingerprint(str(ID)) == read_manifest(*undisturbed).fingerprint
+    assert everything(datasets / "walker") == [*files("made-v0"), "namespace_metadata.json", *files("undisturbed-v0")]
+
+
+def test_of_two_processes_on_one_id_one_runs_and_the_other_says_so(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
+    building = datasets / "walker" / ".random-v0.building"
+    with started(COLLECT, env=environment, cwd=tmp_path) as first:
+        wait_for(building / "diagnostics.jsonl", first)
+        first.send_signal(signal.SIGSTOP)
+        second = subprocess.run(COLLECT, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        assert building.exists(), "it was not stopped in the middle"
+        first.send_signal(signal.SIGCONT)
+        out, err = first.communicate(timeout=300)
+    assert (first.returncode, out) == (0, "walker/random-v0\n"), err
+    assert (second.returncode, second.stdout) == (1, "")
+    assert [line for line in second.stderr.splitlines() if "error" in line] == [
+        f"cudc-bench: error: process {first.pid} is writing 'walker/random-v0'; wait for it to end."
+    ]
+    assert "Traceback" not in second.stderr
+    assert verify_fingerprint("walker/random-v0")
+    assert everything(datasets / "walker") == ["namespace_metadata.json", *files("random-v0")]

@@ -1,0 +1,183 @@
+"""The rules by which the project is cut, read from the source itself."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import cudc_bench
+from cudc_bench import plugins
+
+ROOT = Path(cudc_bench.__file__).resolve().parent.parent
+STAGES = ("collectors", "relabelers", "evaluators", "leaderboard")
+CORE = sorted((ROOT / "cudc_bench").rglob("*.py"))
+SOURCES = {path: stage for stage in STAGES for path in sorted((ROOT / stage).rglob("*.py"))} | dict.fromkeys(CORE, "core")
+DATA = [path for path in CORE if path.parent.name == "data" or path.name in {"ids.py", "manifest.py", "records.py"}]
+METHODS = [
+    path
+    for path, stage in SOURCES.items()
+    if stage in {"collectors", "evaluators"} and path.stem not in {"api", "command", "loop", "__init__"}
+]
+ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get
+
+
+def module_of(path: Path) -> str:
+    """The dotted name under which a file is imported."""
+    relative = path.relative_to(ROOT).with_suffix("")
+    parts = relative.parts if relative.parts[0] == "cudc_bench" else ("cudc_bench", *relative.parts)
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def resolved(module: str, is_package: bool, node: ast.AST) -> list[str]:
+    """The absolute names that an import statement asks for; none for any other node."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    base = node.module or ""
+    if node.level:
+        parts = module.split(".")
+        package = parts[: len(parts) - node.level + is_package]
+        base = ".".join([*package, *([base] if base else [])])
+    return [base, *(f"{base}.{alias.name}" for alias in node.names)]
+
+
+def imports(path: Path) -> set[str]:
+    """Every module that a file imports anywhere, functions included, with relative imports resolved."""
+    module, package = module_of(path), path.name == "__init__.py"
+    return {name for node in ast.walk(ast.parse(path.read_text())) for name in resolved(module, package, node)}
+
+
+def stages_in(names: set[str]) -> set[str]:
+    """The stages that some imported names belong to, by either of the names of a stage's folder."""
+    found = set()
+    for name in names:
+        parts = name.split(".")
+        if parts[0] == "cudc_bench" and len(parts) > 1 and parts[1] in STAGES:
+            found.add(parts[1])
+        elif parts[0] in STAGES:
+            found.add(parts[0])
+    return found
+
+
+def test_the_reader_of_imports_sees_every_way_to_write_one() -> None:
+    source = """
+import cudc_bench.collectors.api as a
+from cudc_bench import evaluators
+def f():
+    from ..leaderboard.load import x
+    from .. import relabelers
+    from . import base
+"""
+    found = {name for node in ast.walk(ast.parse(source)) for name in resolved("cudc_bench.collectors.api", is_package=False, node=node)}
+    assert stages_in(found) == set(STAGES)
+    assert {"cudc_bench.collectors.api", "cudc_bench.evaluators", "cudc_bench.leaderboard.load.x", "cudc_bench.relabelers"} <= found
+    assert "cudc_bench.collectors.base" in found
+    package = ast.parse("from .a import b").body[0]
+    assert resolved("cudc_bench.envs", is_package=True, node=package) == ["cudc_bench.envs.a", "cudc_bench.envs.a.b"]
+
+
+def test_there_is_something_to_check() -> None:
+    assert set(SOURCES.values()) == {*STAGES, "core"}
+    assert len(SOURCES) > 30
+    # The stage folders are the ones that are imported.
+    for stage in STAGES:
+        assert Path(importlib.import_module(f"cudc_bench.{stage}").__file__ or "").parent == ROOT / stage
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=ids)
+def test_a_stage_imports_the_core_and_itself_and_the_core_no_stage(path: Path) -> None:
+    assert stages_in(imports(path)) <= {SOURCES[path]}
+
+
+@pytest.mark.parametrize("path", [path for path, stage in SOURCES.items() if stage != "core"], ids=ids)
+def test_inside_a_stage_imports_are_relative(path: Path) -> None:
+    absolute = {
+        name
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import) or (isinstance(node, ast.ImportFrom) and not node.level)
+        for name in resolved(module_of(path), is_package=False, node=node)
+    }
+    assert stages_in(absolute) == set()
+
+
+@pytest.mark.parametrize("path", [*(path for path, stage in SOURCES.items() if stage == "leaderboard"), *DATA], ids=ids)
+def test_records_and_data_need_neither_torch_nor_a_simulator(path: Path) -> None:
+    assert not {name.split(".")[0] for name in imports(path)} & {"torch", "dm_control", "mujoco"}
+
+
+@pytest.mark.parametrize(
+    "module", ["cudc_bench", "cudc_bench.leaderboard.api", "cudc_bench.data.reader", "cudc_bench.data.writer", "cudc_bench.envs"]
+)
+def test_nor_does_anything_that_they_import(module: str, python: Callable) -> None:
+    done = python(f"import sys, {module}; print(sorted({{n.split('.')[0] for n in sys.modules}} & {{'torch', 'dm_control', 'mujoco'}}))")
+    assert done == (0, "[]\n", "")
+
+
+@pytest.mark.parametrize("path", METHODS, ids=ids)
+def test_methods_touch_no_file_and_no_environment(path: Path) -> None:
+    """A method file has mathematics in it and nothing else; the loop and the commands do the rest."""
+    forbidden = {"os", "pathlib", "logging", "h5py", "minari", "gymnasium", "mujoco", "dm_control", "cudc_bench.envs", "cudc_bench.data"}
+    assert not {name for name in imports(path) for bad in forbidden if name == bad or name.startswith(f"{bad}.")}
+
+
+# ---------------------------------------------------------------------------------------------------------------------- documentation
+
+
+def public(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.ClassDef]:
+    """The functions and classes of a module whose names do not hide them."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=ids)
+def test_everything_public_says_what_it_is(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    assert not tree.body or ast.get_docstring(tree), "the module has no docstring"
+    assert [node.name for node in public(tree) if not ast.get_docstring(node)] == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=ids)
+def test_what_a_base_class_asks_for_is_described(path: Path) -> None:
+    """Abstract methods are the contract with third parties' plug-ins."""
+    for kind in (node for node in public(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)):
+        for method in (node for node in kind.body if isinstance(node, ast.FunctionDef)):
+            if any(ast.unparse(decorator) == "abstractmethod" for decorator in method.decorator_list):
+                assert ast.get_docstring(method), f"{kind.name}.{method.name}"
+
+
+# --------------------------------------------------------------------------------------------------------------------------- plug-ins
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in plugins.KINDS for name in plugins.names(kind)])
+def test_everything_registered_can_be_loaded(kind: str, name: str) -> None:
+    assert callable(plugins.load(kind, name))
+
+
+def test_what_is_registered_is_what_the_project_declares() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    for kind in plugins.KINDS:
+        assert set(declared[f"cudc_bench.{kind}"]) <= set(plugins.names(kind))
+
+
+# Importing a subpackage makes it an attribute of the package, whatever stood there: no function may share its name.
+@pytest.mark.parametrize("first", ["", *(f"import cudc_bench.{stage}.api" for stage in STAGES)])
+def test_public_names_are_there(first: str, python: Callable) -> None:
+    script = f"""
+{first}
+import cudc_bench
+for name in cudc_bench.__all__:
+    assert callable(getattr(cudc_bench, name)), name
+    assert name in dir(cudc_bench)
+try:
+    cudc_bench.nothing
+except AttributeError as error:
+    print(error)
+"""
+    assert python(script) == (0, "module 'cudc_bench' has no attribute 'nothing'\n", "")
