@@ -10,13 +10,17 @@ from collections.abc import Iterator
 
 from benchmarks.measure import Row
 
+# getrusage would not do: what it calls the peak starts, in a new process, at the size of the process that started it.
 _CODE = """
-import resource, torch
+import re, torch
+from pathlib import Path
+def peak():
+    return int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])
 torch.mm(torch.rand(64, 64), torch.rand(64, 64))
-base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+base = peak()
 import cudc_bench
 cudc_bench.collect("cudc", profile="paper", device="cpu", settings={"update_every": 100_000, "measure_every": 1})
-print(base, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(base, peak())
 """
 
 
