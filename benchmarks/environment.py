@@ -14,11 +14,13 @@ def run() -> Iterator[Row]:
     """Both step the same 1,000 actions from the same reset; ours also stores the state and computes all four rewards."""
     from dm_control import suite
 
-    from cudc_bench.envs import reward_function, simulator_class
+    from cudc_bench.envs import make_simulators, reward_function
+    from cudc_bench.envs.simulator import MujocoSimulator
 
     actions = np.random.default_rng(0).uniform(-1, 1, (1000, 6)).astype(np.float32)
     reference = suite.load("walker", "walk", task_kwargs={"random": 1})
-    simulator, rewards = simulator_class("walker")(), reward_function("walker")
+    (simulator,), rewards = make_simulators("walker", 1), reward_function("walker")
+    assert isinstance(simulator, MujocoSimulator)
     observation, state, quantities = np.empty(24, np.float32), np.empty(18), np.empty((1000, 4))
 
     def theirs() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from cudc_bench.config import NonNegativeInt, PositiveInt
-from cudc_bench.envs import Domain, simulator_class
+from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.metrics import member_rows
 from cudc_bench.networks import MemberRandom
@@ -63,9 +63,7 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
     """
     seeds, members = collector.seeds, len(collector.seeds)
     length = domain.episode_length
-    kind = simulator_class(domain.name)
-    model = kind.build_model()
-    simulators = [kind(model) for _ in seeds]
+    simulators = make_simulators(domain.name, members)
     first_actions = MemberRandom(seeds, "first actions")
     replay = None
     if collector.learns:

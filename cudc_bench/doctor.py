@@ -89,13 +89,13 @@ def _root() -> tuple[bool, str]:
 def _environment() -> tuple[bool, str]:
     import numpy as np
 
-    from cudc_bench.envs import DOMAINS, reward_function, simulator_class
+    from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 
     for domain in DOMAINS.values():
-        simulator = simulator_class(domain.name)()
+        simulator = make_simulators(domain.name, 1)[0]
         simulator.reset(1)
         simulator.step(np.zeros(domain.action_size, np.float32))
-        quantities = np.empty(len(simulator.quantity_names))
+        quantities = np.empty(len(domain.quantities))
         simulator.quantities(quantities)
         rewards = reward_function(domain.name)(quantities)
         if rewards.shape != (len(domain.tasks),) or not np.isfinite(rewards).all():

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from cudc_bench.config import PositiveInt
-from cudc_bench.envs import Domain, reward_function, simulator_class
-from cudc_bench.envs.simulator import Float64
+from cudc_bench.envs import Domain, make_simulators, reward_function
+from cudc_bench.envs.simulator import Float64, Simulator
 from cudc_bench.metrics import member_rows
 from cudc_bench.replay import Episodes
 from cudc_bench.seeding import episode_seed
@@ -59,19 +58,17 @@ class Arena:
     def __init__(self, domain: Domain, tasks: Sequence[str]) -> None:
         self._domain = domain
         self._tasks = np.array([domain.tasks.index(task) for task in tasks])
-        self._kind = simulator_class(domain.name)
-        self._model = self._kind.build_model()
         self._rewards = reward_function(domain.name)
-        self._simulators: list[Any] = []
+        self._simulators: list[Simulator] = []
 
     def returns(self, agent: Evaluator, seeds: Sequence[Sequence[int]]) -> Float64:
         """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``."""
         members, episodes = len(seeds), len(seeds[0])
-        while len(self._simulators) < members * episodes:
-            self._simulators.append(self._kind(self._model))
+        if len(self._simulators) < members * episodes:
+            self._simulators = make_simulators(self._domain.name, members * episodes)
         simulators = self._simulators[: members * episodes]
         observations = np.empty((members * episodes, self._domain.observation_size), np.float32)
-        quantities = np.empty((len(simulators), len(self._kind.quantity_names)), np.float64)
+        quantities = np.empty((len(simulators), len(self._domain.quantities)), np.float64)
         task = np.repeat(self._tasks, episodes)
         rows = np.arange(len(simulators))
         total = np.zeros(len(simulators))

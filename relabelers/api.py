@@ -13,7 +13,7 @@ from cudc_bench import plugins
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.writer import MAIN_FILE, write_metadata
-from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.manifest import Base, FieldHasher, Manifest, check_free, fingerprint, read_manifest
@@ -70,11 +70,11 @@ def relabel(
 
     say(f"relabel {base_id} ({base.describe()}) for {', '.join(chosen)}")
     started = time.monotonic()
-    flat = load_episodes(base_id, ("infos/physics",))
+    flat = load_episodes(base_id, ("infos/physics", "actions"))
     states = flat.split("infos/physics")
     # Row 0 of an episode is its reset, which no action led to.
     reached = np.concatenate([episode[1:] for episode in states])
-    rewards = _rewards(base.domain, reached).astype(np.float32)
+    rewards = _rewards(facts, reached, flat.arrays["actions"]).astype(np.float32)
     ends = np.cumsum(flat.lengths)[:-1]
     for task, one in ids.items():
         column = np.ascontiguousarray(rewards[:, facts.tasks.index(task)])
@@ -83,14 +83,14 @@ def relabel(
     return [str(one) for one in ids.values()]
 
 
-def _rewards(domain: str, states: NDArray[np.float64]) -> NDArray[np.float64]:
-    relabeler = plugins.load("relabelers", domain)()
+def _rewards(domain: Domain, states: NDArray[np.float64], actions: NDArray[np.float32]) -> NDArray[np.float64]:
+    relabeler = plugins.load("relabelers", domain.relabeler)(domain)
     parts = []
     with bars([("rewards", len(states))], "states") as (advance,):
         for start in range(0, len(states), _ROWS):
-            part = states[start : start + _ROWS]
-            parts.append(relabeler.rewards(part))
-            advance(len(part))
+            rows = slice(start, start + _ROWS)
+            parts.append(relabeler.rewards(states[rows], actions[rows]))
+            advance(len(parts[-1]))
     return np.concatenate(parts)
 
 

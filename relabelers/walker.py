@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import mujoco
 
-from .base import Relabeler
+from .base import KinematicRelabeler
 
 
-class WalkerRelabeler(Relabeler):
+class WalkerRelabeler(KinematicRelabeler):
     """Exactly equal to the live rewards of stand, walk, run and flip."""
-
-    domain = "walker"
 
     def refresh(self) -> None:
         model, data = self.simulator.model, self.simulator.data

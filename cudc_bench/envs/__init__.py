@@ -10,7 +10,7 @@ from functools import partial
 
 import gymnasium
 
-from cudc_bench.envs.domains import DOMAINS, Domain, check_domain, check_tasks, reward_function, simulator_class
+from cudc_bench.envs.domains import DOMAINS, Domain, check_domain, check_tasks, make_simulators, reward_function
 
 __all__ = [
     "DOMAINS",
@@ -18,9 +18,9 @@ __all__ = [
     "check_domain",
     "check_tasks",
     "env_id",
+    "make_simulators",
     "register",
     "reward_function",
-    "simulator_class",
 ]
 
 

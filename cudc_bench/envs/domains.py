@@ -28,8 +28,10 @@ class Domain:
         physics_size: P, float64 numbers that restore the simulator (positions, velocities, activations).
         episode_length: T control steps; an episode ends by this limit only.
         max_return: the largest possible sum of rewards.
+        quantities: the Q physical quantities that rewards are functions of.
         simulator: ``module:class`` of its :class:`~cudc_bench.envs.simulator.Simulator`.
         rewards: ``module:function`` from physical quantities (..., Q) to the rewards (..., tasks).
+        relabeler: the registered relabeler that serves it.
     """
 
     name: str
@@ -39,8 +41,10 @@ class Domain:
     physics_size: int
     episode_length: int
     max_return: float
+    quantities: tuple[str, ...]
     simulator: str
     rewards: str
+    relabeler: str
 
 
 DOMAINS: dict[str, Domain] = {
@@ -54,8 +58,10 @@ DOMAINS: dict[str, Domain] = {
             physics_size=18,
             episode_length=1000,
             max_return=1000.0,
+            quantities=("torso_height", "torso_upright", "com_velocity_x", "angular_momentum_y"),
             simulator="cudc_bench.envs.walker:Walker",
             rewards="cudc_bench.envs.walker:walker_rewards",
+            relabeler="walker",
         ),
     )
 }
@@ -84,9 +90,11 @@ def check_tasks(domain: Domain, tasks: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(task for task in domain.tasks if tasks is None or task in tasks)
 
 
-def simulator_class(domain: str) -> type[Simulator]:
-    """The simulator of a domain; this loads MuJoCo."""
-    return _resolve(check_domain(domain).simulator)
+def make_simulators(domain: str, count: int) -> list[Simulator]:
+    """Simulators of a domain, which may share what is read only; this loads MuJoCo."""
+    facts = check_domain(domain)
+    kind: type[Simulator] = _resolve(facts.simulator)
+    return kind.make(facts, count)
 
 
 def reward_function(domain: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:

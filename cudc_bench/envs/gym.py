@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from cudc_bench.envs.domains import check_domain, check_tasks, reward_function, simulator_class
+from cudc_bench.envs.domains import check_domain, check_tasks, make_simulators, reward_function
 from cudc_bench.envs.simulator import Float32
 
 
@@ -39,8 +39,8 @@ class SimulatorEnv(gymnasium.Env[Float32, Float32]):
         facts = check_domain(domain)
         self._task = None if task is None else facts.tasks.index(check_tasks(facts, [task])[0])
         self._rewards = reward_function(domain)
-        self._simulator = simulator_class(domain)()
-        self._quantities = np.empty(len(self._simulator.quantity_names), np.float64)
+        self._simulator = make_simulators(domain, 1)[0]
+        self._quantities = np.empty(len(facts.quantities), np.float64)
         self._facts = facts
         self.observation_space = observation_space(domain)
         self.action_space = action_space(domain)

@@ -7,7 +7,7 @@ dictionaries and time steps. The tests hold it against dm_control.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -18,6 +18,7 @@ from cudc_bench.errors import RunError
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+PHYSICS = int(mujoco.mjtState.mjSTATE_PHYSICS)
 
 
 class DivergedError(RunError):
@@ -25,27 +26,73 @@ class DivergedError(RunError):
 
 
 class Simulator(ABC):
-    """One simulated body. Subclasses give the model, the reset, the observation and the physical quantities of the rewards.
+    """One simulated body: what collection, evaluation and Gymnasium need of a domain."""
+
+    @classmethod
+    @abstractmethod
+    def make(cls, domain: Domain, count: int) -> list[Self]:
+        """Simulators of a domain that run independently; they may share what is read only."""
+
+    @abstractmethod
+    def reset(self, seed: int) -> None:
+        """Start an episode from ``numpy.random.RandomState(seed)``; equals dm_control's reset with ``random=seed``.
+
+        Args:
+            seed: 0 or more; values of 2**32 and above are split into 32-bit words.
+        """
+
+    @abstractmethod
+    def step(self, action: Float32 | Float64) -> None:
+        """Apply an action (A,) in [-1, 1] for one control step; it is scaled to the actuators' own ranges.
+
+        Raises:
+            DivergedError: the simulation became unstable.
+        """
+
+    @abstractmethod
+    def observe(self, out: Float32) -> None:
+        """Write the flat observation (S,) in dm_control's order, cast to float32."""
+
+    @abstractmethod
+    def state(self, out: Float64) -> None:
+        """Write the physics state (P,): positions, velocities and activations."""
+
+    @abstractmethod
+    def set_state(self, state: Float64) -> None:
+        """Set the physics state (P,) and bring everything that depends on it up to date, as for the start of a control step."""
+
+    @abstractmethod
+    def quantities(self, out: Float64) -> None:
+        """Write the physical quantities (Q,) that the domain's rewards are functions of."""
+
+
+class MujocoSimulator(Simulator):
+    """The thin layer over raw MuJoCo. Subclasses give the model, the initial state, the observation and the physical quantities.
 
     Several simulators may share one compiled model: pass ``model``.
 
     Attributes:
         domain: the domain's fixed facts.
         substeps: physics steps in a control step.
-        quantity_names: the Q physical quantities that rewards are functions of.
         model: the compiled MuJoCo model, read only.
         data: the MuJoCo state.
     """
 
     domain: ClassVar[Domain]
     substeps: ClassVar[int]
-    quantity_names: ClassVar[tuple[str, ...]]
 
     def __init__(self, model: mujoco.MjModel | None = None) -> None:
         self.model = self.build_model() if model is None else model
         self.data = mujoco.MjData(self.model)
         self._warnings = self.data.warning.number
-        self._state_kind = mujoco.mjtState.mjSTATE_PHYSICS
+        low, high = self.model.actuator_ctrlrange.T
+        self._low, self._scale = low.copy(), (high - low) / 2.0
+        self._scales_actions = bool((low != -1.0).any() or (high != 1.0).any())
+
+    @classmethod
+    def make(cls, domain: Domain, count: int) -> list[Self]:
+        model = cls.build_model()
+        return [cls(model) for _ in range(count)]
 
     @classmethod
     @abstractmethod
@@ -56,20 +103,7 @@ class Simulator(ABC):
     def initialise(self, random: np.random.RandomState) -> None:
         """Draw the initial state as dm_control's ``initialize_episode`` does, from a freshly reset ``data``."""
 
-    @abstractmethod
-    def observe(self, out: Float32) -> None:
-        """Write the flat observation (S,) in dm_control's order, cast to float32."""
-
-    @abstractmethod
-    def quantities(self, out: Float64) -> None:
-        """Write the physical quantities (Q,) that the domain's rewards are functions of."""
-
     def reset(self, seed: int) -> None:
-        """Start an episode from ``numpy.random.RandomState(seed)``; equals dm_control's reset with ``random=seed``.
-
-        Args:
-            seed: 0 or more; values of 2**32 and above are split into 32-bit words.
-        """
         self.restart(random_state(seed))
 
     def restart(self, random: np.random.RandomState) -> None:
@@ -80,13 +114,9 @@ class Simulator(ABC):
         self._forward_without_actuation()
 
     def step(self, action: Float32 | Float64) -> None:
-        """Apply an action (A,) in [-1, 1] for one control step.
-
-        Raises:
-            DivergedError: the simulation became unstable.
-        """
         data, model = self.data, self.model
-        data.ctrl[:] = action
+        # The same expression as dm_control's action_scale wrapper, to the last bit.
+        data.ctrl[:] = self._low + self._scale * (action.astype(np.float64) + 1.0) if self._scales_actions else action
         # dm_control's order: positions and velocities are already up to date, and are left so at the end.
         mujoco.mj_step2(model, data)
         if self.substeps > 1:
@@ -97,8 +127,12 @@ class Simulator(ABC):
             raise DivergedError(f"the {self.domain.name} simulation diverged ({', '.join(names)}); run again with another seed.")
 
     def state(self, out: Float64) -> None:
-        """Write the physics state (P,): positions, velocities and activations."""
-        mujoco.mj_getState(self.model, self.data, out, self._state_kind)
+        mujoco.mj_getState(self.model, self.data, out, PHYSICS)
+
+    def set_state(self, state: Float64) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, state, PHYSICS)
+        self._forward_without_actuation()
 
     def _forward_without_actuation(self) -> None:
         flags = self.model.opt.disableflags

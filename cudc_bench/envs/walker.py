@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.envs.simulator import Float32, Float64, Simulator, gaussian_above, tolerance_above
+from cudc_bench.envs.simulator import Float32, Float64, MujocoSimulator, gaussian_above, tolerance_above
 
 _TORSO = 1  # body 0 is the world
 
 
-class Walker(Simulator):
+class Walker(MujocoSimulator):
     """dm_control's walker, bit-identical in observation, state, reset and reward.
 
     Observation (24): the (xx, xz) entries of seven body rotations, the torso's height in m, nine generalised velocities. The
@@ -20,7 +20,6 @@ class Walker(Simulator):
 
     domain = DOMAINS["walker"]
     substeps = 10
-    quantity_names = ("torso_height", "torso_upright", "com_velocity_x", "angular_momentum_y")
 
     @classmethod
     def build_model(cls) -> mujoco.MjModel:
@@ -69,7 +68,7 @@ def walker_rewards(quantities: Float64) -> Float64:
     Stand, walk and run are dm_control's; flip is ExORL's (angular momentum of the torso's subtree above 5 kg·m²/s).
 
     Args:
-        quantities: (..., 4) in the order of ``Walker.quantity_names``: metres, cosine, metres per second, kg·m²/s.
+        quantities: (..., 4) in the order of the domain's ``quantities``: metres, cosine, metres per second, kg·m²/s.
 
     Returns:
         (..., 4) rewards in [0, 1] for stand, walk, run and flip.

@@ -5,7 +5,7 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.config import build
-from cudc_bench.envs import DOMAINS, reward_function, simulator_class
+from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch, Episodes
 
@@ -37,7 +37,7 @@ def batch_for(agent, observation=24, action=6, size=32, seed=0, measure=False):
 
 def random_walker_data(episodes, task, seeds):
     """Episodes of uniformly random actions on Walker, labelled with the live rewards of a task, for a stack of members."""
-    simulator, rewards = simulator_class("walker")(), reward_function("walker")
+    simulator, rewards = make_simulators("walker", 1)[0], reward_function("walker")
     rng = np.random.default_rng(0)
     data = Episodes(1, episodes, episodes * 1000, 24, 6, MemberRandom(seeds, "replay"), [0] * len(seeds))
     labels = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import h5py
@@ -15,7 +16,7 @@ import pytest
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.data.reader import load_episodes, verify_fingerprint
-from cudc_bench.envs import DOMAINS, env_id, simulator_class
+from cudc_bench.envs import DOMAINS, env_id, make_simulators
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import dataset_path
 from cudc_bench.manifest import read_manifest
@@ -28,16 +29,17 @@ def relabeled(task: str) -> str:
     return f"walker/{task}/cudc-v0"
 
 
-def live(domain: str, task: str, seed: int, policy: Callable[[int], np.ndarray], steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """States and rewards of one episode, as the task's environment gives them."""
+def live(domain: str, task: str, seed: int, policy: Callable[[int], np.ndarray], steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, the actions that led to them, and rewards of one episode, as the task's environment gives them."""
     environment = gymnasium.make(env_id(domain, task))
     environment.reset(seed=seed)
-    states, rewards = [], []
+    states, actions, rewards = [], [], []
     for t in range(steps):
-        _, reward, _, _, info = environment.step(policy(t))
+        actions.append(policy(t))
+        _, reward, _, _, info = environment.step(actions[-1])
         states.append(info["physics"])
         rewards.append(reward)
-    return np.stack(states), np.array(rewards)
+    return np.stack(states), np.stack(actions), np.array(rewards)
 
 
 def policies(domain: str, seed: int) -> list[Callable[[int], np.ndarray]]:
@@ -55,34 +57,33 @@ def policies(domain: str, seed: int) -> list[Callable[[int], np.ndarray]]:
 # ---------------------------------------------------------------------------------------------------------------- every relabeler
 
 
-@pytest.fixture(params=plugins.names("relabelers"), scope="module")
+@pytest.fixture(params=DOMAINS, scope="module")
 def domain(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
+def relabeler_of(domain: str) -> Any:
+    return plugins.load("relabelers", DOMAINS[domain].relabeler)(DOMAINS[domain])
+
+
 @pytest.fixture(scope="module")
-def states(domain: str) -> np.ndarray:
-    """States of a domain from short episodes of different policies, with their resets."""
-    simulator, parts = simulator_class(domain)(), []
+def reached(domain: str) -> tuple[np.ndarray, np.ndarray]:
+    """States of a domain from short episodes of different policies, and the actions that led to them."""
+    (simulator,), states, actions = make_simulators(domain, 1), [], []
     for seed, policy in enumerate(policies(domain, 5)):
         simulator.reset(seed)
         for t in range(200):
-            out = np.empty(DOMAINS[domain].physics_size)
-            simulator.state(out)
-            parts.append(out)
-            simulator.step(policy(t))
-    return np.stack(parts)
+            actions.append(policy(t))
+            simulator.step(actions[-1])
+            states.append(np.empty(DOMAINS[domain].physics_size))
+            simulator.state(states[-1])
+    return np.stack(states), np.stack(actions)
 
 
-def test_a_relabeler_serves_the_domain_that_it_is_registered_for(domain: str) -> None:
-    kind = plugins.load("relabelers", domain)
-    assert kind.domain == domain
-    assert kind().tasks == DOMAINS[domain].tasks
-
-
-def test_rewards_are_finite_and_within_bounds(domain: str, states: np.ndarray) -> None:
+def test_rewards_are_finite_and_within_bounds(domain: str, reached: tuple[np.ndarray, np.ndarray]) -> None:
+    states, actions = reached
     before = states.copy()
-    rewards = plugins.load("relabelers", domain)().rewards(states)
+    rewards = relabeler_of(domain).rewards(states, actions)
     assert rewards.shape == (len(states), len(DOMAINS[domain].tasks))
     assert rewards.dtype == np.float64
     assert np.isfinite(rewards).all()
@@ -92,34 +93,36 @@ def test_rewards_are_finite_and_within_bounds(domain: str, states: np.ndarray) -
     assert states.tobytes() == before.tobytes()
 
 
-def test_rewards_do_not_depend_on_the_state_before(domain: str, states: np.ndarray) -> None:
+def test_rewards_do_not_depend_on_the_state_before(domain: str, reached: tuple[np.ndarray, np.ndarray]) -> None:
     """MuJoCo caches derived quantities; one that is not refreshed would be that of another state."""
-    relabeler = plugins.load("relabelers", domain)()
-    in_order = relabeler.rewards(states)
+    states, actions = reached
+    relabeler = relabeler_of(domain)
+    in_order = relabeler.rewards(states, actions)
     order = np.random.default_rng(0).permutation(len(states))
-    assert relabeler.rewards(states[order]).tobytes() == in_order[order].tobytes()
-    repeated = relabeler.rewards(np.repeat(states[:50], 2, axis=0))
+    assert relabeler.rewards(states[order], actions[order]).tobytes() == in_order[order].tobytes()
+    repeated = relabeler.rewards(np.repeat(states[:50], 2, axis=0), np.repeat(actions[:50], 2, axis=0))
     assert repeated.tobytes() == np.repeat(in_order[:50], 2, axis=0).tobytes()
     for row in (0, 17, len(states) - 1):
-        alone = plugins.load("relabelers", domain)().rewards(states[row : row + 1])
+        alone = relabeler_of(domain).rewards(states[row : row + 1], actions[row : row + 1])
         assert alone.tobytes() == in_order[row : row + 1].tobytes()
 
 
-def test_rewards_do_not_depend_on_how_the_states_lie_in_memory(domain: str, states: np.ndarray) -> None:
-    relabeler = plugins.load("relabelers", domain)()
-    expected = relabeler.rewards(states)
-    assert relabeler.rewards(np.asfortranarray(states)).tobytes() == expected.tobytes()
-    assert relabeler.rewards(states[::2]).tobytes() == expected[::2].tobytes()
+def test_rewards_do_not_depend_on_how_the_states_lie_in_memory(domain: str, reached: tuple[np.ndarray, np.ndarray]) -> None:
+    states, actions = reached
+    relabeler = relabeler_of(domain)
+    expected = relabeler.rewards(states, actions)
+    assert relabeler.rewards(np.asfortranarray(states), actions).tobytes() == expected.tobytes()
+    assert relabeler.rewards(states[::2], actions[::2]).tobytes() == expected[::2].tobytes()
 
 
 def test_columns_are_the_domains_tasks_in_order_and_equal_the_live_rewards(domain: str) -> None:
     """Whole episodes, no difference in float64."""
-    relabeler = plugins.load("relabelers", domain)()
+    relabeler = relabeler_of(domain)
     for seed in range(len(policies(domain, 0))):
         for column, task in enumerate(DOMAINS[domain].tasks):
             policy = policies(domain, seed)[seed]
-            reached, rewards = live(domain, task, seed, policy, DOMAINS[domain].episode_length)
-            assert np.abs(relabeler.rewards(reached)[:, column] - rewards).max() == 0.0
+            states, actions, rewards = live(domain, task, seed, policy, DOMAINS[domain].episode_length)
+            assert np.abs(relabeler.rewards(states, actions)[:, column] - rewards).max() == 0.0
             assert np.ptp(rewards) > 0
 
 
@@ -242,9 +245,9 @@ def test_tasks_come_in_the_domains_order_whatever_was_asked(smoke: Path) -> None
 def test_the_reward_of_a_step_is_that_of_the_state_which_it_led_to(smoke: Path) -> None:
     """Row t of the rewards belongs to row t + 1 of the states."""
     flat = load_episodes(BASE, ("infos/physics",))
-    relabeler = plugins.load("relabelers", "walker")()
+    relabeler = relabeler_of("walker")
     for index, states in enumerate(flat.split("infos/physics")):
-        expected = relabeler.rewards(states).astype(np.float32)
+        expected = relabeler.rewards(states, np.zeros((len(states), 6), np.float32)).astype(np.float32)
         for column, task in enumerate(TASKS):
             found = minari.load_dataset(relabeled(task))[index].rewards
             assert found.tobytes() == expected[1:, column].tobytes()
