@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from cudc_bench import plugins
 from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes, write_metadata
-from cudc_bench.envs import DOMAINS, check_domain
+from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
@@ -25,7 +24,7 @@ from cudc_bench.options import check_folder, check_seeds, format_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.provenance import command_line, commit, machine, versions
+from cudc_bench.provenance import command_line, stamp
 
 from .base import Space
 from .loop import CollectConfig, run_collection
@@ -95,6 +94,10 @@ def collect(
     if check_only:
         return [str(one) for one in ids]
 
+    if kind.domain_values and domain not in kind.domain_values:
+        plain = as_dict(build(kind.config_class))
+        same = [name for name, values in kind.domain_values.items() if as_dict(build(kind.config_class, values)) == plain]
+        say(f"{method} has no values of its own for {domain}; it takes {'those for ' + same[0] if same else 'its defaults'}")
     say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {loop.steps:,} steps each, {device}")
     jobs = [
         Job(
@@ -125,9 +128,8 @@ def collect_members(
     with ExitStack() as stack:
         folders = [stack.enter_context(staging(one)) for one in ids]
         sinks = [_Sink(folder) for folder in folders]
-        run_collection(collector, loop, DOMAINS[domain], list(sinks), advance)
+        run_collection(collector, loop, check_domain(domain), list(sinks), advance)
         summaries = collector.summary()
-        head, dirty = commit()
         for seed, one, folder, sink, summary in zip(seeds, ids, folders, sinks, summaries, strict=True):
             written = write_episodes(folder / "data", iter(sink.shards))
             manifest = Manifest(
@@ -140,28 +142,27 @@ def collect_members(
                 overrides=overrides,
                 hyperparameters=values,
                 hyperparameters_hash=config_hash(values),
+                citation=kind.citation,
                 fields=written.fields,
                 fingerprint=fingerprint(written.fields),
                 diagnostics=sink.last | summary,
-                versions=versions(),
-                commit=head,
-                dirty=dirty,
-                machine=machine(device, torch.get_num_threads()),
-                seconds=round(time.monotonic() - started, 1),
-                created=datetime.now(UTC).isoformat(timespec="seconds"),
                 command=_command(method, domain, seed, profile, overrides, one),
+                **stamp(started, device, torch.get_num_threads()),
             )
-            description = (
-                f"Task-agnostic exploration of dm_control's {domain} by {method}: the rewards are all 0. "
-                "Relabel it for a task with cudc-bench, or compute rewards from infos/physics."
-            )
-            write_metadata(folder / "data", manifest, str(one), description)
+            write_metadata(folder / "data", manifest, str(one), _description(check_domain(domain), method))
             sink.close()
             publish(folder, one)
 
 
+def _description(domain: Domain, method: str) -> str:
+    excluded = f" Not relabelled can be: {excluded_tasks(domain)}." if domain.excluded else ""
+    way = "Relabel it for a task with cudc-bench, or compute" if domain.tasks else "Compute"
+    explored = f"Task-agnostic exploration of {domain_title(domain.name)} by {method}"
+    return f"{explored}: the rewards are all 0. {way} rewards from infos/physics.{excluded}"
+
+
 def _space(domain: str, loop: CollectConfig) -> Space:
-    facts = DOMAINS[domain]
+    facts = check_domain(domain)
     return Space(domain, facts.observation_size, facts.action_size, facts.episode_length, loop.seed_steps, loop.update_every)
 
 
@@ -180,8 +181,8 @@ class _Sink:
         self.last: dict[str, Any] = {}
         self._diagnostics = (folder / "diagnostics.jsonl").open("w", encoding="utf-8")
 
-    def add_episode(self, seed: int, observations: Float32, actions: Float32, physics: Float64) -> None:
-        self.shards.add(Episode(seed, observations, actions, {"physics": physics}))
+    def add_episode(self, seed: int, observations: Float32, actions: Float32, infos: dict[str, Float32 | Float64]) -> None:
+        self.shards.add(Episode(seed, observations, actions, infos))
 
     def add_diagnostics(self, row: dict[str, Any]) -> None:
         self.last = row

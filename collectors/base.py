@@ -67,6 +67,15 @@ class Collector(ABC):
         """The largest k that a member can reach; episodes must be at least this long."""
         return int(self.horizon.max())
 
+    @property
+    def skill_size(self) -> int:
+        """K, the size of the skill that actions follow; 0 for methods without skills."""
+        return 0
+
+    def next_skill(self, t: int) -> Tensor:
+        """Called before the action at each step t of an episode; the skills (E, K) that the next actions follow."""
+        raise NotImplementedError(f"{type(self).__name__} has no skills")
+
     @abstractmethod
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:
         """Actions (E, A) in [-1, 1] for observations (E, S); deterministic without ``explore``."""

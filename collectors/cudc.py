@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from cudc_bench.config import Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import Activation, LayerNorm, MemberRandom, make_target, mlp, soft_update
+from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update
 from cudc_bench.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
@@ -96,7 +96,7 @@ class CUDC(DDPG):
     def max_horizon(self) -> int:
         return int(self.config.k_max)
 
-    def build(self, random: MemberRandom) -> list[nn.Module | nn.Parameter]:
+    def build(self, random: MemberRandom) -> list[Trained]:
         config, members = self.config, random.count
         if config.k_max < config.horizon:
             raise ValueError(f"k_max={config.k_max} is below the first horizon {config.horizon}")

@@ -1,7 +1,8 @@
 """The backbone of every learning collector: DDPG with twin critics, as URLB configures it for states.
 
 One update is one fixed sequence: believe, reward, critic, actor, targets. A method says only what is its own: what it believes
-(``build`` and ``belief_loss``), what it rewards (``reward``), and, for some, its horizon or its sample weights.
+(``build`` and ``belief_loss``), what it rewards (``reward``), and, for some, its horizon, its sample weights, or its skills
+(``skill_size``, ``skill_steps`` and ``draw_skills``), which actor and critic then see beside the observation.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, Positiv
 from cudc_bench.networks import (
     MemberRandom,
     SharedTrunkCritic,
+    Trained,
     actor,
     adam,
     frozen,
@@ -61,21 +63,33 @@ class DDPG(Collector, nn.Module):
         self._act_random = MemberRandom(seeds, "act", device)
         self._noise_random = MemberRandom(seeds, "update", device)
         weights = MemberRandom(seeds, "weights", device)
-        critic_inputs = space.observation + space.action
-        self.actor = actor(weights, space.observation, space.action, config.width)
-        self.critic = SharedTrunkCritic(weights, critic_inputs, config.width)
-        self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, critic_inputs, config.width))
+        self._skill_random = MemberRandom(seeds, "skill", device)
+        inputs = space.observation + self.skill_size
+        self.actor = actor(weights, inputs, space.action, config.width)
+        self.critic = SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs)
+        self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs))
         self.actor_optimiser = adam([self.actor], config.learning_rate)
         self.critic_optimiser = adam([self.critic], config.learning_rate)
         members = len(seeds)
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64, device=self.device))
         self.register_buffer("k", torch.full((members,), config.horizon, dtype=torch.int64, device=self.device))
+        self.register_buffer("skill", torch.zeros(members, self.skill_size, device=self.device))
         believers = self.build(weights)
         self.belief_optimiser = adam(believers, config.learning_rate) if believers else None
 
     # What a method says
 
-    def build(self, random: MemberRandom) -> list[nn.Module | nn.Parameter]:
+    @property
+    def skill_steps(self) -> int:
+        """How many environment steps a skill lasts; 0 for whole episodes."""
+        return 0
+
+    @property
+    def critic_outputs(self) -> int:
+        """How many numbers each critic gives; ``value`` turns them into one."""
+        return 1
+
+    def build(self, random: MemberRandom) -> list[Trained]:
         """Make the method's own networks; return those that ``belief_loss`` trains, in one Adam."""
         return []
 
@@ -98,10 +112,24 @@ class DDPG(Collector, nn.Module):
     def update_targets(self) -> None:
         """Move the method's own slow copies."""
 
+    def draw_skills(self, random: MemberRandom) -> Tensor:
+        """New skills (E, K)."""
+        raise NotImplementedError(f"{type(self).__name__} has skills but no draw_skills")
+
+    def value(self, critic: SharedTrunkCritic, observation: Tensor, skill: Tensor | None, action: Tensor) -> Tensor:
+        """Both critics' values (E, B, 2)."""
+        return critic(self.with_skill(observation, skill), action)
+
+    @staticmethod
+    def with_skill(observation: Tensor, skill: Tensor | None) -> Tensor:
+        """What actor and critic see: the observation, and the skill beside it where there is one."""
+        return observation if skill is None else torch.cat([observation, skill], dim=-1)
+
     # The fixed sequence
 
     k: Tensor
     updates: Tensor
+    skill: Tensor
 
     @property
     def horizon(self) -> Tensor:
@@ -123,8 +151,14 @@ class DDPG(Collector, nn.Module):
         self.updates += 1
         return metrics if batch.measure else {}
 
-    def _policy(self, observation: Tensor) -> Tensor:
-        mean = self.actor(observation)
+    def next_skill(self, t: int) -> Tensor:
+        """New ones at the start of an episode and every ``skill_steps`` steps; with 0 they last for the whole episode."""
+        if t == 0 or (self.skill_steps and t % self.skill_steps == 0):
+            self.skill.copy_(self.draw_skills(self._skill_random))
+        return self.skill
+
+    def _policy(self, observation: Tensor, skill: Tensor | None) -> Tensor:
+        mean = self.actor(self.with_skill(observation, skill))
         noise = self._noise_random.normal(*mean.shape[1:])
         return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
 
@@ -136,9 +170,10 @@ class DDPG(Collector, nn.Module):
 
     def _update_critic(self, batch: Batch, reward: Tensor, weight: Tensor | None) -> dict[str, Tensor]:
         with torch.no_grad():
-            next_value = self.target_critic(batch.next_observation, self._policy(batch.next_observation)).amin(-1)
+            following, skill = batch.next_observation, batch.skill
+            next_value = self.value(self.target_critic, following, skill, self._policy(following, skill)).amin(-1)
             target = reward + self.bootstrap(batch) * next_value
-        values = self.critic(batch.observation, batch.action)
+        values = self.value(self.critic, batch.observation, skill, batch.action)
         error = (values - target[..., None]).square().sum(-1)
         loss = (error if weight is None else weight * error).mean(1)
         minimise(loss, self.critic_optimiser)
@@ -148,14 +183,15 @@ class DDPG(Collector, nn.Module):
 
     def _update_actor(self, batch: Batch, weight: Tensor | None) -> dict[str, Tensor]:
         with frozen(self.critic):
-            value = self.critic(batch.observation, self._policy(batch.observation)).amin(-1)
+            action = self._policy(batch.observation, batch.skill)
+            value = self.value(self.critic, batch.observation, batch.skill, action).amin(-1)
             loss = -(value if weight is None else weight * value).mean(1)
             minimise(loss, self.actor_optimiser)
         return {"actor_loss": loss.detach()}
 
     @torch.no_grad()
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:
-        mean = self.actor(observation[:, None])[:, 0]
+        mean = self.actor(self.with_skill(observation, self.skill if self.skill_size else None)[:, None])[:, 0]
         if not explore:
             return mean
         return noisy_action(mean, self._act_random.normal(self.space.action), self.config.noise_std, None)
@@ -172,6 +208,7 @@ class DDPG(Collector, nn.Module):
             "optimisers": {name: optimiser.state_dict() for name, optimiser in self._optimisers().items()},
             "act": self._act_random.state_dict(),
             "noise": self._noise_random.state_dict(),
+            "skill": self._skill_random.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
@@ -180,3 +217,4 @@ class DDPG(Collector, nn.Module):
             optimiser.load_state_dict(state["optimisers"][name])
         self._act_random.load_state_dict(state["act"])
         self._noise_random.load_state_dict(state["noise"])
+        self._skill_random.load_state_dict(state["skill"])

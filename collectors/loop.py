@@ -41,8 +41,12 @@ class CollectConfig:
 class Sink(Protocol):
     """Takes what one member collects."""
 
-    def add_episode(self, seed: int, observations: Float32, actions: Float32, physics: Float64) -> None:
-        """One finished episode: its reset seed, observations (T+1, S), actions (T, A), states (T+1, P)."""
+    def add_episode(self, seed: int, observations: Float32, actions: Float32, infos: dict[str, Float32 | Float64]) -> None:
+        """One finished episode: its reset seed, observations (T+1, S), actions (T, A), and ``infos``.
+
+        These are ``physics`` (T+1, P), the states, and for methods with skills ``skill`` (T+1, K): row t is what action t followed, and
+        the last row repeats the one before, since no action follows it.
+        """
 
     def add_diagnostics(self, row: dict[str, Any]) -> None:
         """One line of diagnostics."""
@@ -70,11 +74,12 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
         episodes = math.ceil(config.steps / length)
         replay = Episodes(
             members, episodes, episodes * length, domain.observation_size, domain.action_size,
-            MemberRandom(seeds, "replay", collector.device),
+            MemberRandom(seeds, "replay", collector.device), skill=collector.skill_size,
         )  # fmt: skip
     observations = np.empty((members, length + 1, domain.observation_size), np.float32)
     actions = np.empty((members, length, domain.action_size), np.float32)
     physics = np.empty((members, length + 1, domain.physics_size), np.float64)
+    skills = np.empty((members, length + 1, collector.skill_size), np.float32)
     updates, reset_seeds = 0, [0] * members
 
     for step in range(config.steps):
@@ -85,6 +90,8 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
                 simulator.reset(reset_seeds[member])
                 simulator.observe(observations[member, 0])
                 simulator.state(physics[member, 0])
+        if collector.skill_size:
+            skills[:, t : t + 2] = collector.next_skill(t).cpu().numpy()[:, None]
         if step < config.seed_steps and collector.learns:
             chosen = first_actions.uniform(domain.action_size) * 2.0 - 1.0
         else:
@@ -98,9 +105,12 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
         if t + 1 == length or done:
             for member, sink in enumerate(sinks):
                 o, a = observations[member, : t + 2], actions[member, : t + 1]
-                sink.add_episode(reset_seeds[member], o, a, physics[member, : t + 2])
+                infos: dict[str, Float32 | Float64] = {"physics": physics[member, : t + 2]}
+                if collector.skill_size:
+                    infos["skill"] = skills[member, : t + 2]
+                sink.add_episode(reset_seeds[member], o, a, infos)
                 if replay is not None and t + 1 == length:
-                    replay.add(member, torch.from_numpy(o), torch.from_numpy(a))
+                    replay.add(member, torch.from_numpy(o), torch.from_numpy(a), torch.from_numpy(skills[member, :length]))
         due = step >= config.seed_steps and step % config.update_every == 0
         if due and replay is not None and replay.episodes():
             measure = updates % config.measure_every == 0 or step + config.update_every >= config.steps

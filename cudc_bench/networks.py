@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -67,17 +68,23 @@ class Linear(nn.Module):
         inputs: size of the input.
         outputs: size of the output.
         blocks: the output is this many blocks that are initialised separately, as if they were layers of their own.
+        orthogonal: False for PyTorch's default instead, weights and biases uniform within ±1/√inputs.
     """
 
-    def __init__(self, random: MemberRandom, inputs: int, outputs: int, blocks: int = 1) -> None:
+    def __init__(self, random: MemberRandom, inputs: int, outputs: int, blocks: int = 1, orthogonal: bool = True) -> None:
         super().__init__()
         weight = torch.empty(random.count, inputs, outputs, device=random.device)
-        for member, generator in zip(weight, random.generators, strict=True):
+        bias = torch.zeros(random.count, 1, outputs, device=random.device)
+        for member, shift, generator in zip(weight, bias, random.generators, strict=True):
+            if not orthogonal:
+                for part in (member, shift):
+                    part.uniform_(-(inputs**-0.5), inputs**-0.5, generator=generator)
+                continue
             for block in member.chunk(blocks, dim=1):
                 drawn = torch.empty(block.shape[1], block.shape[0], device=random.device)
                 block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)
         self.weight = nn.Parameter(weight)
-        self.bias = nn.Parameter(torch.zeros(random.count, 1, outputs, device=random.device))
+        self.bias = nn.Parameter(bias)
 
     def forward(self, x: Tensor) -> Tensor:
         """(E, B, inputs) -> (E, B, outputs)."""
@@ -109,11 +116,11 @@ class Activation(nn.Module):
         return self.function(x)
 
 
-def mlp(random: MemberRandom, *sizes: int, output: Callable[[Tensor], Tensor] | None = None) -> nn.Sequential:
+def mlp(random: MemberRandom, *sizes: int, output: Callable[[Tensor], Tensor] | None = None, orthogonal: bool = True) -> nn.Sequential:
     """Linear layers of the given sizes with ReLU between them, and ``output`` applied at the end (none: linear)."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [Linear(random, inputs, outputs), Activation(torch.relu_)]
+        layers += [Linear(random, inputs, outputs, orthogonal=orthogonal), Activation(torch.relu_)]
     layers.pop()
     if output is not None:
         layers.append(Activation(output))
@@ -131,42 +138,69 @@ def actor(random: MemberRandom, observation: int, action: int, width: int) -> nn
 
 
 class SharedTrunkCritic(nn.Module):
-    """Twin critics on one trunk, as in URLB's DDPG. The heads are computed as one wide layer."""
+    """Twin critics on one trunk, as in URLB's DDPG. The heads are computed as one wide layer.
+
+    Args:
+        random: the members' streams for initial weights.
+        inputs: size of observation and action together.
+        width: of the hidden layers.
+        outputs: of each head; 1 gives a value, more give successor features.
+    """
 
     head_mask: Tensor
 
-    def __init__(self, random: MemberRandom, inputs: int, width: int) -> None:
+    def __init__(self, random: MemberRandom, inputs: int, width: int, outputs: int = 1) -> None:
         super().__init__()
         self.trunk = trunk(random, inputs, width)
         self.hidden = Linear(random, width, 2 * width, blocks=2)
         # Head j reads only its own half of the hidden layer: the other half of its column is masked and starts at zero.
-        self.out = Linear(random, width, 2, blocks=2)
-        mask = torch.zeros(1, 2 * width, 2, device=random.device)
-        mask[:, :width, 0] = 1.0
-        mask[:, width:, 1] = 1.0
+        self.outputs = outputs
+        self.out = Linear(random, width, 2 * outputs, blocks=2)
+        mask = torch.zeros(1, 2 * width, 2 * outputs, device=random.device)
+        mask[:, :width, :outputs] = 1.0
+        mask[:, width:, outputs:] = 1.0
         self.register_buffer("head_mask", mask, persistent=False)
         self.out.weight = nn.Parameter(torch.cat([self.out.weight.detach()] * 2, dim=1) * mask)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """(E, B, S), (E, B, A) -> both values (E, B, 2)."""
+        """(E, B, S), (E, B, A) -> both values (E, B, 2), or both heads (E, B, 2, outputs) of several outputs."""
         hidden = torch.relu_(self.hidden(self.trunk(torch.cat([observation, action], dim=-1))))
-        return torch.baddbmm(self.out.bias, hidden, self.out.weight * self.head_mask)
+        heads = torch.baddbmm(self.out.bias, hidden, self.out.weight * self.head_mask)
+        return heads if self.outputs == 1 else heads.unflatten(-1, (2, self.outputs))
+
+
+class Ensemble(nn.Module):
+    """N networks for each member, folded into the member axis.
+
+    Args:
+        random: the members' streams for initial weights; a member's networks draw one after the other from its own.
+        size: N.
+        make: builds the stacked network from the streams that it is given.
+    """
+
+    def __init__(self, random: MemberRandom, size: int, make: Callable[[MemberRandom], nn.Module]) -> None:
+        super().__init__()
+        folded = MemberRandom([], "ensemble", random.device)
+        folded.generators = [generator for generator in random.generators for _ in range(size)]
+        self.size = size
+        self.layers = make(folded)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(E, B, inputs) -> (E, N, B, outputs)."""
+        out = self.layers(x.repeat_interleave(self.size, dim=0))
+        return out.unflatten(0, (-1, self.size))
 
 
 class TwinCritic(nn.Module):
-    """Two separate critics, as in ExORL's offline learners; the twin axis is folded into the member axis."""
+    """Two separate critics, as in ExORL's offline learners."""
 
     def __init__(self, random: MemberRandom, inputs: int, width: int) -> None:
         super().__init__()
-        twins = MemberRandom([], "twins", random.device)
-        # The twins of a member draw one after the other from its own stream.
-        twins.generators = [generator for generator in random.generators for _ in range(2)]
-        self.layers = nn.Sequential(trunk(twins, inputs, width), *mlp(twins, width, width, 1))
+        self.twins = Ensemble(random, 2, lambda streams: nn.Sequential(trunk(streams, inputs, width), *mlp(streams, width, width, 1)))
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """(E, B, S), (E, B, A) -> both values (E, B, 2)."""
-        x = torch.cat([observation, action], dim=-1).repeat_interleave(2, dim=0)
-        return self.layers(x).view(observation.shape[0], 2, -1).transpose(1, 2)
+        return self.twins(torch.cat([observation, action], dim=-1)).squeeze(-1).transpose(1, 2)
 
 
 @contextmanager
@@ -182,12 +216,17 @@ def frozen(module: nn.Module) -> Iterator[None]:
             parameter.requires_grad_(True)
 
 
-def adam(modules: Sequence[nn.Module | nn.Parameter], learning_rate: float) -> torch.optim.Adam:
-    """One fused Adam with the default betas over some modules' parameters."""
-    parameters: list[nn.Parameter] = []
-    for module in modules:
-        parameters += [module] if isinstance(module, nn.Parameter) else list(module.parameters())
-    return torch.optim.Adam(parameters, lr=learning_rate, fused=True)
+ModuleT = TypeVar("ModuleT", bound=nn.Module)
+Trained = nn.Module | nn.Parameter | tuple[nn.Module, float]
+
+
+def adam(trained: Sequence[Trained], learning_rate: float) -> torch.optim.Adam:
+    """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate."""
+    groups: dict[float, list[nn.Parameter]] = {}
+    for one in trained:
+        module, rate = one if isinstance(one, tuple) else (one, learning_rate)
+        groups.setdefault(rate, []).extend([module] if isinstance(module, nn.Parameter) else module.parameters())
+    return torch.optim.Adam([{"params": parameters, "lr": rate} for rate, parameters in groups.items()], fused=True)
 
 
 def minimise(loss: Tensor, optimiser: torch.optim.Optimizer) -> None:
@@ -197,7 +236,7 @@ def minimise(loss: Tensor, optimiser: torch.optim.Optimizer) -> None:
     optimiser.step()
 
 
-def make_target(online: nn.Module, target: nn.Module) -> nn.Module:
+def make_target(online: ModuleT, target: ModuleT) -> ModuleT:
     """Turn ``target`` (built like ``online``) into its exact copy that takes no gradient."""
     target.load_state_dict(online.state_dict())
     return target.requires_grad_(False)

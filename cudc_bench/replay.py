@@ -28,6 +28,7 @@ class Batch:
         horizon: k of each member (E,), int64.
         reward: r_t (E, B); absent (None) in reward-free collection, where no extrinsic reward exists at all.
         measure: whether this update's metrics will be read; methods skip costly ones otherwise.
+        skill: the skill (E, B, K) that a_t followed; None for methods without skills.
         kept: values that a method computed for one step of its update and needs in a later one.
     """
 
@@ -37,6 +38,7 @@ class Batch:
     horizon: Tensor
     reward: Tensor | None = None
     measure: bool = False
+    skill: Tensor | None = None
     kept: dict[str, Tensor] = field(default_factory=dict)
 
 
@@ -51,16 +53,18 @@ class Episodes:
         action: A.
         random: the members' streams for drawing indices.
         source_of_member: (E,) which source each member samples; member e samples source e by default.
+        skill: K, the size of the skill that each action follows; 0 for none.
     """
 
     def __init__(
         self, sources: int, episodes: int, steps: int, observation: int, action: int,
-        random: MemberRandom, source_of_member: list[int] | None = None,
+        random: MemberRandom, source_of_member: list[int] | None = None, skill: int = 0,
     ) -> None:  # fmt: skip
         device = random.device
         self.random = random
         self.observations = torch.zeros(sources, steps + episodes, observation, device=device)
         self.actions = torch.zeros(sources, steps, action, device=device)
+        self.skills = torch.zeros(sources, steps, skill, device=device) if skill else None
         self.rewards: Tensor | None = None
         self.starts = torch.zeros(sources, episodes, dtype=torch.int64, device=device)
         self.lengths = torch.zeros(sources, episodes, dtype=torch.int64, device=device)
@@ -68,12 +72,14 @@ class Episodes:
         self.source = torch.tensor(source_of_member or list(range(random.count)), device=device)
         self._filled = [(0, 0)] * sources
 
-    def add(self, source: int, observations: Tensor, actions: Tensor) -> None:
-        """Append one finished episode: observations (T+1, S) and actions (T, A)."""
+    def add(self, source: int, observations: Tensor, actions: Tensor, skills: Tensor | None = None) -> None:
+        """Append one finished episode: observations (T+1, S), actions (T, A), and, where there are skills, skills (T, K)."""
         episode, start = self._filled[source]
         length = actions.shape[0]
         self.observations[source, start + episode : start + episode + length + 1] = observations.to(self.random.device)
         self.actions[source, start : start + length] = actions.to(self.random.device)
+        if self.skills is not None and skills is not None:
+            self.skills[source, start : start + length] = skills.to(self.random.device)
         self.starts[source, episode] = start
         self.lengths[source, episode] = length
         self.counts[source] = episode + 1
@@ -111,12 +117,15 @@ class Episodes:
         first = observation_row + base * self.observations.shape[1]
         rows = torch.cat([first, first + horizon[:, None]], dim=1)
         both = flat_observation.index_select(0, rows.flatten()).view(*rows.shape, -1)
-        action = self.actions.flatten(0, 1).index_select(0, (action_row + base * self.actions.shape[1]).flatten())
+        of_action = (action_row + base * self.actions.shape[1]).flatten()
+        action = self.actions.flatten(0, 1).index_select(0, of_action)
+        skill = None if self.skills is None else self.skills.flatten(0, 1).index_select(0, of_action).view(*action_row.shape, -1)
         return Batch(
             observation=both[:, :size],
             action=action.view(*action_row.shape, -1),
             next_observation=both[:, size:],
             horizon=horizon,
             reward=None if self.rewards is None else self.rewards.gather(1, action_row),
+            skill=skill,
             measure=measure,
         )

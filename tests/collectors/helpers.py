@@ -5,6 +5,7 @@ import torch
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Space
 from cudc_bench.config import build
+from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
@@ -30,4 +31,8 @@ def batch_for(collector, size=32, seed=0, measure=False):
             )
         )
     observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
-    return Batch(observation, action, following, collector.horizon, measure=measure)
+    batch = Batch(observation, action, following, collector.horizon, measure=measure)
+    if collector.skill_size:
+        rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in range(len(collector.seeds))]
+        batch.skill = torch.stack([collector.draw_skills(MemberRandom(seeds, "rows")) for seeds in rows])
+    return batch

@@ -26,10 +26,11 @@ class Memory:
     """Keeps what one member collects."""
 
     def __init__(self):
-        self.episodes, self.rows = [], []
+        self.episodes, self.rows, self.skills = [], [], []
 
-    def add_episode(self, seed, observations, actions, physics):
-        self.episodes.append((seed, observations.copy(), actions.copy(), physics.copy()))
+    def add_episode(self, seed, observations, actions, infos):
+        self.episodes.append((seed, observations.copy(), actions.copy(), infos["physics"].copy()))
+        self.skills.append(infos["skill"].copy() if "skill" in infos else None)
 
     def add_diagnostics(self, row):
         self.rows.append(row)
@@ -108,7 +109,7 @@ def test_members_learn_together_as_they_do_alone(name):
         batch = batch_for(together, seed=step)
         together.update(batch)
         own = [x[1:2] for x in (batch.observation, batch.action, batch.next_observation)]
-        alone.update(type(batch)(*own, alone.horizon))
+        alone.update(type(batch)(*own, alone.horizon, skill=None if batch.skill is None else batch.skill[1:2]))
     observation = torch.randn(1, 24)
     pair = together.act(observation.expand(2, -1), explore=False)
     torch.testing.assert_close(pair[1:], alone.act(observation, explore=False), atol=1e-4, rtol=1e-4)
@@ -186,3 +187,46 @@ def test_a_last_short_episode_ends_the_dataset(name):
 def test_metrics_are_costly_only_when_measured(name):
     collector = make(name)
     assert collector.update(batch_for(collector)) == {}
+
+
+@every
+def test_skills_are_stored_as_the_actions_followed_them(name):
+    collector = make(name)
+    given, act = [], collector.act
+
+    def remember(observation, explore=True):
+        given.append(collector.skill.clone() if collector.skill_size else None)
+        return act(observation, explore)
+
+    collector.act = remember
+    sink = run(collector, steps=1300, seed_steps=0, update_every=100)[0]
+    if not collector.skill_size:
+        assert sink.skills == [None, None]
+        return
+    lengths = [1000, 300]
+    assert [skill.shape for skill in sink.skills] == [(length + 1, collector.skill_size) for length in lengths]
+    for skill, start in zip(sink.skills, (0, 1000), strict=True):
+        rows = torch.from_numpy(skill)
+        assert torch.equal(rows[:-1], torch.cat(given[start : start + len(rows) - 1]))
+        assert torch.equal(rows[-1], rows[-2])
+        changes = (rows[1:-1] != rows[:-2]).any(1).nonzero()[:, 0] + 1
+        every_steps = collector.skill_steps
+        assert not every_steps or (changes % every_steps == 0).all()
+        assert bool(len(changes)) == bool(every_steps)
+    assert len(torch.from_numpy(sink.skills[0]).unique(dim=0)) > 1 or not collector.skill_steps
+
+
+@every
+def test_actions_and_values_depend_on_the_skill(name):
+    collector = make(name)
+    if not collector.skill_size:
+        return
+    batch = batch_for(collector)
+    other = torch.roll(batch.skill, 1, dims=1)
+    different = (other != batch.skill).any(-1)[0]
+    with torch.no_grad():
+        mean = [collector.actor(collector.with_skill(batch.observation, skill)) for skill in (batch.skill, other)]
+        value = [collector.value(collector.critic, batch.observation, skill, batch.action) for skill in (batch.skill, other)]
+    for first, second in (mean, value):
+        assert (first != second).any(-1)[0][different].all()
+        torch.testing.assert_close(first[0][~different], second[0][~different])
