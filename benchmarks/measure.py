@@ -40,12 +40,23 @@ def fastest(function: Callable[[], object], repeats: int, warm_up: int = 1) -> f
     return best
 
 
-def fastest_interleaved(functions: list[Callable[[], object]], rounds: int) -> list[float]:
-    """Seconds of the fastest call of each, measured in turns so that all see the same machine."""
+def fastest_interleaved(
+    functions: list[Callable[[], object]], rounds: int, before: list[Callable[[], object]] | None = None
+) -> list[float]:
+    """Seconds of the fastest call of each, measured in turns so that all see the same machine.
+
+    Args:
+        functions: what to measure; each is called once before.
+        rounds: how often.
+        before: called before every call of each, and not measured.
+    """
     best = [float("inf")] * len(functions)
-    for function in functions:
+    prepare = before or [lambda: None] * len(functions)
+    for function, first in zip(functions, prepare, strict=True):
+        first()
         function()
     for _ in range(rounds):
-        for index, function in enumerate(functions):
+        for index, (function, first) in enumerate(zip(functions, prepare, strict=True)):
+            first()
             best[index] = min(best[index], fastest(function, repeats=1, warm_up=0))
     return best

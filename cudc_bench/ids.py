@@ -59,10 +59,20 @@ def parse_id(text: str) -> DatasetId:
     return DatasetId(match["namespace"], match["name"], int(match["version"]))
 
 
+def domain_namespace(domain: str) -> str:
+    """A domain's part of dataset ids: ``walker``, and ``dm_control/cheetah_run`` for the domain ``dm_control/cheetah-run``."""
+    return domain.replace("-", "_").lower()
+
+
+def domain_slug(domain: str) -> str:
+    """A domain's part of names that are one word: ``walker``, and ``dm_control.cheetah-run`` for ``dm_control/cheetah-run``."""
+    return domain.replace("/", ".")
+
+
 def default_id(domain: str, method: str, seed: int) -> DatasetId:
     """The id under which ``collect`` stores a dataset unless told otherwise; seed 1 has the plain name."""
     suffix = "" if seed == 1 else f"-seed{seed}"
-    return parse_id(f"{domain}/{method}{suffix}-v0")
+    return parse_id(f"{domain_namespace(domain)}/{method}{suffix}-v0")
 
 
 def datasets_root() -> Path:

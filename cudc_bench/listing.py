@@ -45,12 +45,14 @@ def _methods() -> Table:
 
 
 def _domains() -> Table:
-    from cudc_bench.envs import DOMAINS
+    from cudc_bench.envs.domains import DOMAINS, SUITE
 
-    table = _table("Domains (--domain)", "name", "tasks", "observation", "action", "steps an episode")
+    table = _table("Domains (--domain)", "name", "tasks", "measured for --reward", "observation", "action", "steps")
     for domain in DOMAINS.values():
         sizes = (domain.observation_size, domain.action_size, domain.episode_length)
-        table.add_row(domain.name, ", ".join(domain.tasks), *map(str, sizes))
+        table.add_row(domain.name, ", ".join(domain.tasks), ", ".join(domain.quantities), *map(str, sizes))
+    table.caption = f"and any of dm_control's suite through Shimmy, slower: {SUITE}<domain>-<task>, such as {SUITE}cheetah-run"
+    table.caption_justify = "left"
     return table
 
 
@@ -92,7 +94,7 @@ def _datasets() -> Table:
         size = sum(file.stat().st_size for file in path.parents[1].rglob("*") if file.is_file())
         columns = (
             name,
-            manifest.method,
+            manifest.label,
             manifest.task or "–",
             manifest.profile,
             str(manifest.seed),

@@ -15,6 +15,7 @@ from cudc_bench.errors import UsageError
 DomainOption = Annotated[str, typer.Option("--domain", help="What is explored.")]
 MethodOption = Annotated[str, typer.Option("--method", help="Collector, or several separated by commas.")]
 TasksOption = Annotated[str, typer.Option("--tasks", "--task", help="Tasks separated by commas, or 'all'.")]
+RewardOption = Annotated[str | None, typer.Option("--reward", help="Own reward function, as module:function, instead of --tasks.")]
 AlgoOption = Annotated[str, typer.Option("--algo", help="Offline algorithm.")]
 SeedsOption = Annotated[str, typer.Option("--seeds", "--seed", help="Seeds, such as 1 or 1-5 or 1,3.")]
 ProfileOption = Annotated[

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from cudc_bench import plugins
 from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import DatasetId, default_id, parse_id
 from cudc_bench.manifest import Manifest, exists, read_manifest
@@ -23,10 +24,12 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
     Raises:
         UsageError: wrong input, or a dataset exists that was collected at another profile.
     """
-    plugins.check_name("collectors", method)
     check_domain(domain)
     name = resolve_profile(profile).name
     ids = [default_id(domain, method, seed) for seed in seeds]
+    # What exists can be used without its collector: an imported dataset's was never here.
+    if not all(exists(one) for one in ids):
+        plugins.check_name("collectors", method)
     for one in ids:
         if exists(one):
             check_profile(read_manifest(one), str(one), name)
@@ -42,6 +45,9 @@ def ensure_collected(
         UsageError: wrong input, or a dataset exists that was collected at another profile.
     """
     ids = check_collected(method, domain, seeds, profile=profile)
+    for one in ids:
+        if exists(one) and (manifest := read_manifest(one)).imported is not None:
+            say(f"{one} was not collected here: {manifest.describe()}")
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
         say(f"{', '.join(str(default_id(domain, method, seed)) for seed in missing)} missing: collecting first")
@@ -49,35 +55,59 @@ def ensure_collected(
     return [str(one) for one in ids]
 
 
-def ensure_relabelled(base_id: str, tasks: Sequence[str] | None) -> list[str]:
-    """The ids of a dataset relabelled for tasks, made where they are missing.
+def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None) -> list[str]:
+    """The ids of a dataset relabelled for tasks, or by an own reward function, made where they are missing.
 
     Raises:
         UsageError: wrong input.
         RunError: a relabelled dataset exists that was made from another base.
     """
     base = read_manifest(base_id)
-    ids = {task: parse_id(base_id).for_task(task) for task in check_tasks(check_domain(base.domain), tasks)}
+    wanted = check_tasks(check_domain(base.domain), tasks) if reward is None else (reward.name,)
+    ids = {task: parse_id(base_id).for_task(task) for task in wanted}
+    option = "" if reward is None else f" --reward {reward.reference}"
     for one in ids.values():
         if exists(one):
             there = read_manifest(one).base
             if there is None or there.fingerprint != base.fingerprint:
-                raise RunError(f"'{one}' was made from another '{base_id}'; run: cudc-bench relabel {base_id} --overwrite.")
+                raise RunError(f"'{one}' was made from another '{base_id}'; run: cudc-bench relabel {base_id}{option} --overwrite.")
     missing = [task for task, one in ids.items() if not exists(one)]
     if missing:
         say(f"{', '.join(str(ids[task]) for task in missing)} missing: relabelling first")
-        plugins.load("stages", "relabel")(base_id, missing)
+        relabel = plugins.load("stages", "relabel")
+        if reward is None:
+            relabel(base_id, missing)
+        else:
+            relabel(base_id, reward=reward.reference)
     return [str(one) for one in ids.values()]
 
 
+def check_reward(manifest: Manifest, dataset_id: str, reward: CustomReward | None) -> None:
+    """Refuse to score policies by another reward than the dataset's.
+
+    A dataset that names a function does not run it: data come from others. Who evaluates names the function, too.
+
+    Raises:
+        UsageError: they differ, or only one of them is there.
+        RunError: the function was changed since the dataset was labelled.
+    """
+    there = manifest.reward
+    if there is None and reward is not None:
+        raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not by {reward.reference}; leave out --reward.")
+    if there is not None and (reward is None or reward.reference != there.reference):
+        raise UsageError(f"'{dataset_id}' is labelled by the function {there.reference}; to run it here, give --reward {there.reference}.")
+    if there is not None and reward is not None and reward.sha256 != there.sha256:
+        raise RunError(f"the function {there.reference} has changed since '{dataset_id}' was labelled; relabel again with --overwrite.")
+
+
 def check_profile(manifest: Manifest, dataset_id: str, profile: str) -> None:
-    """Refuse to go on at one profile from a dataset collected at another.
+    """Refuse to go on at one profile from a dataset collected at another; an imported one goes with every profile.
 
     Raises:
         UsageError: they differ; the message names both and the ways out.
     """
     name = resolve_profile(profile).name
-    if manifest.profile != name:
+    if manifest.imported is None and manifest.profile != name:
         raise UsageError(
             f"'{dataset_id}' exists at another profile ({manifest.describe()}) than {name}; "
             f"use --profile {manifest.profile}, or collect it anew with --overwrite."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from cudc_bench import plugins
 from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, read_manifest
@@ -33,9 +34,9 @@ from cudc_bench.records import (
     write_record,
 )
 from cudc_bench.replay import Episodes
-from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
+from cudc_bench.stages import check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
 
-from .loop import EvaluateConfig, Outcome, run_evaluation
+from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
 
 
 def evaluate(
@@ -48,6 +49,7 @@ def evaluate(
     profile: str = "auto",
     settings: Mapping[str, Any] | None = None,
     dataset_id: str | None = None,
+    reward: str | Callable[[Measured], Any] | None = None,
     output: str | Path = "results",
     overwrite: bool = False,
     device: str = "auto",
@@ -64,9 +66,10 @@ def evaluate(
         tasks: of the domain; all unless given.
         methods: whose datasets.
         seeds: of the datasets and of the training.
-        profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``; datasets must be of the same.
+        profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``; datasets must be of the same, unless they are imported.
         settings: hyperparameters of the training that differ from the profile, by name.
         dataset_id: train on this dataset (task-agnostic or relabelled) instead of those of ``methods``; ``seeds`` is then its own.
+        reward: an own reward function instead of tasks, as in :func:`relabel`.
         output: folder of the records.
         overwrite: train again where a record exists.
         device: ``cpu``, ``cuda`` or ``auto``.
@@ -91,20 +94,27 @@ def evaluate(
     check_folder(datasets_root(), "the dataset root")
     device = resolve_device(device)
     worker_count(workers, 1)
-    if not check_tasks(check_domain(domain), tasks):
-        raise UsageError(f"no task was given; allowed: {', '.join(check_domain(domain).tasks)}.")
+    # A dataset says itself what it is of.
+    facts = check_domain(domain if dataset_id is None else read_manifest(parse_id(dataset_id)).domain)
+    custom = None if reward is None else load_reward(reward, facts)
+    if custom is not None and tasks is not None:
+        raise UsageError("--reward makes a task of its own; leave out --tasks.")
+    if dataset_id is None and custom is None and not check_tasks(facts, tasks):
+        raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
     seeds = check_seeds(seeds)
     if not methods:
         raise UsageError("no method was given; see cudc-bench list.")
     for method in () if dataset_id else methods:
         check_collected(method, domain, seeds, profile=profile)
 
-    ids = _datasets(domain, tasks, methods, seeds, dataset_id, profile=profile, device=device, workers=workers)
+    ids = _datasets(domain, tasks, custom, methods, seeds, dataset_id, profile=profile, device=device, workers=workers)
     manifests = {one: read_manifest(one) for one in ids}
+    for one, manifest in manifests.items():
+        check_reward(manifest, one, custom)
     paths = {one: record_path(results, one, algo, manifests[one].seed, chosen.name) for one in ids}
     todo = [one for one in ids if overwrite or not _done(paths[one], manifests[one], config_hash(values))]
     say(
-        f"evaluate {algo} on {domain}: profile {chosen.name}, {len(ids)} runs of {loop.gradient_steps:,} gradient steps, {device}"
+        f"evaluate {algo} on {facts.name}: profile {chosen.name}, {len(ids)} runs of {loop.gradient_steps:,} gradient steps, {device}"
         + (f"; {len(ids) - len(todo)} recorded before are kept" if len(todo) < len(ids) else "")
     )
     groups = [todo] if device == "cuda" and todo else [[one] for one in todo]
@@ -115,6 +125,7 @@ def evaluate(
             arguments={
                 "algo": algo, "ids": group, "paths": [paths[one] for one in group], "profile": chosen.name, "loop": loop,
                 "config": config, "overrides": overrides, "device": device,
+                "reward": None if custom is None else custom.reference,
             },
         )
         for group in groups
@@ -127,7 +138,7 @@ def evaluate(
 
 def evaluate_members(
     advance: Advance, *, algo: str, ids: list[str], paths: list[Path], profile: str, loop: EvaluateConfig, config: Any,
-    overrides: dict[str, Any], device: str,
+    overrides: dict[str, Any], device: str, reward: str | None,
 ) -> None:  # fmt: skip
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
     started = time.monotonic()
@@ -137,7 +148,8 @@ def evaluate_members(
     agent = plugins.load("evaluators", algo)(facts.observation_size, facts.action_size, config, seeds, device)
     data = load_members(ids, seeds, device)
     tasks = [str(manifest.task) for manifest in manifests]
-    outcomes = run_evaluation(agent, data, loop, facts, tasks, advance)
+    arena = Arena(facts, tasks if reward is None else load_reward(reward, facts))
+    outcomes = run_evaluation(agent, data, loop, arena, advance)
     seconds = round(time.monotonic() - started, 1)
     for one, path, manifest, outcome in zip(ids, paths, manifests, outcomes, strict=True):
         write_record(path, _record(algo, one, manifest, outcome, profile, loop, config, overrides, device, seconds))
@@ -196,7 +208,8 @@ def check_milestones(loop: EvaluateConfig) -> None:
 
 
 def _datasets(
-    domain: str, tasks: Sequence[str] | None, methods: Sequence[str], seeds: Sequence[int], dataset_id: str | None, *,
+    domain: str, tasks: Sequence[str] | None, reward: CustomReward | None, methods: Sequence[str], seeds: Sequence[int],
+    dataset_id: str | None, *,
     profile: str, device: str, workers: int | None,
 ) -> list[str]:  # fmt: skip
     """The relabelled datasets to train on, made where they are missing."""
@@ -212,7 +225,7 @@ def _datasets(
                 raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(tasks)}; leave out --tasks.")
             return [dataset_id]
         bases = [dataset_id]
-    return [one for base in bases for one in ensure_relabelled(base, tasks)]
+    return [one for base in bases for one in ensure_relabelled(base, tasks, reward)]
 
 
 def _done(path: Path, manifest: Manifest, values_hash: str) -> bool:
@@ -237,16 +250,20 @@ def _record(
     head, dirty = commit()
     options = {"--algo": algo, "--profile": profile}
     usual = default_id(manifest.domain, manifest.method, manifest.seed).for_task(str(manifest.task))
-    if dataset_id == str(usual) and not manifest.overrides:
+    if dataset_id == str(usual) and not manifest.overrides and manifest.imported is None:
         # Written like this, the command also makes the datasets anew where they are missing.
         options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}
-        options["--task"] = str(manifest.task)
+        if manifest.reward is None:
+            options["--task"] = str(manifest.task)
     else:
         options["--dataset-id"] = dataset_id
+    if manifest.reward is not None:
+        options["--reward"] = manifest.reward.reference
     return Record(
         dataset=DatasetReference(
             id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
             seed=manifest.seed, steps=manifest.steps, profile=manifest.profile, overrides=manifest.overrides,
+            reward=manifest.reward, source=None if manifest.imported is None else manifest.imported.source,
         ),
         algorithm=algo,
         profile=profile,

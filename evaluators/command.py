@@ -14,6 +14,7 @@ from cudc_bench.options import (
     MethodOption,
     OverwriteOption,
     ProfileOption,
+    RewardOption,
     SeedsOption,
     SetOption,
     TasksOption,
@@ -33,6 +34,7 @@ def evaluate(
     profile: ProfileOption = "auto",
     settings: SetOption = None,
     dataset_id: DatasetIdOption = None,
+    reward: RewardOption = None,
     output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
@@ -46,7 +48,7 @@ def evaluate(
 
     paths = run(
         algo, domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
-        settings=parse_settings(settings or []), dataset_id=dataset_id, output=output, overwrite=overwrite, device=device,
+        settings=parse_settings(settings or []), dataset_id=dataset_id, reward=reward, output=output, overwrite=overwrite, device=device,
         workers=workers,
     )  # fmt: skip
     for path in paths:

@@ -10,6 +10,7 @@ import torch
 
 from cudc_bench.config import PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
+from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
 from cudc_bench.metrics import member_rows
 from cudc_bench.replay import Episodes
@@ -53,11 +54,17 @@ class Outcome:
 
 
 class Arena:
-    """Simulators in which a stack of policies is tried, all episodes of all members side by side."""
+    """Simulators in which a stack of policies is tried, all episodes of all members side by side.
 
-    def __init__(self, domain: Domain, tasks: Sequence[str]) -> None:
+    Args:
+        domain: what is simulated.
+        tasks: the task of each member, or one own reward function for all.
+    """
+
+    def __init__(self, domain: Domain, tasks: Sequence[str] | CustomReward) -> None:
         self._domain = domain
-        self._tasks = np.array([domain.tasks.index(task) for task in tasks])
+        self._custom = tasks if isinstance(tasks, CustomReward) else None
+        self._tasks = None if isinstance(tasks, CustomReward) else np.array([domain.tasks.index(task) for task in tasks])
         self._rewards = reward_function(domain.name)
         self._simulators: list[Simulator] = []
 
@@ -69,7 +76,8 @@ class Arena:
         simulators = self._simulators[: members * episodes]
         observations = np.empty((members * episodes, self._domain.observation_size), np.float32)
         quantities = np.empty((len(simulators), len(self._domain.quantities)), np.float64)
-        task = np.repeat(self._tasks, episodes)
+        states = np.empty((len(simulators), self._domain.physics_size), np.float64)
+        task = None if self._tasks is None else np.repeat(self._tasks, episodes)
         rows = np.arange(len(simulators))
         total = np.zeros(len(simulators))
         for simulator, seed, out in zip(simulators, (s for row in seeds for s in row), observations, strict=True):
@@ -82,28 +90,28 @@ class Arena:
                 simulator.step(action)
                 simulator.observe(out)
                 simulator.quantities(measured)
-            total += self._rewards(quantities)[rows, task]
+            if self._custom is None:
+                total += self._rewards(quantities)[rows, task]
+                continue
+            for simulator, state in zip(simulators, states, strict=True):
+                simulator.state(state)
+            total += self._custom(Measured(self._domain, quantities, states, actions, observations))
         return total.reshape(members, episodes)
 
 
-def run_evaluation(
-    agent: Evaluator, data: Episodes, config: EvaluateConfig, domain: Domain, tasks: Sequence[str],
-    advance: Callable[[int], None],
-) -> list[Outcome]:  # fmt: skip
+def run_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None]) -> list[Outcome]:
     """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
 
     Args:
         agent: E members.
         data: episodes with a reward (E, steps) for each member.
         config: how long and how often.
-        domain: where the policies are tried.
-        tasks: the task of each member.
+        arena: where the policies are tried.
         advance: told how many gradient steps have been done since it was last called.
 
     Raises:
         RunError: training diverged (a metric is not finite).
     """
-    arena = Arena(domain, tasks)
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
     outcomes = [Outcome([], [], []) for _ in agent.seeds]
 

@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench import plugins
-from cudc_bench.data.reader import load_episodes
+from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.data.staging import publish, staging
+from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.manifest import Base, FieldHasher, Manifest, check_free, fingerprint, read_manifest
+from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, fingerprint, read_manifest
 from cudc_bench.options import check_folder
 from cudc_bench.progress import bars, say
-from cudc_bench.provenance import command_line, commit, machine, versions
+from cudc_bench.provenance import command_line, stamp
 
 from .linked import write_linked
-
-_ROWS = 20_000  # states between two updates of the progress bar
 
 
 def relabel(
     dataset_id: str = "walker/cudc-v0",
     tasks: Sequence[str] | None = None,
     *,
+    reward: str | Callable[[Measured], Any] | None = None,
     standalone: bool = False,
     overwrite: bool = False,
     check_only: bool = False,
@@ -39,6 +40,8 @@ def relabel(
     Args:
         dataset_id: a task-agnostic dataset.
         tasks: of its domain; all of them unless given. One pass over the states serves all.
+        reward: instead of tasks, an own reward function, ``"module:function"`` or itself, whose name becomes the task's; see
+            ``cudc_bench.envs.rewards``.
         standalone: copy the base's arrays instead of linking to them.
         overwrite: replace relabelled datasets that exist.
         check_only: stop before the work starts; wrong input has been refused by then.
@@ -53,12 +56,17 @@ def relabel(
     base_id = parse_id(dataset_id)
     base = read_manifest(base_id)
     if base.task is not None:
-        of = f" of '{base.base.id}'" if base.base else ""
-        raise UsageError(f"'{base_id}' is already relabelled for {base.task}; relabel its base{of}.")
+        if base.base is None:
+            raise UsageError(f"'{base_id}' came with the rewards of {base.task} and has no base to relabel; import it without --task.")
+        raise UsageError(f"'{base_id}' is already relabelled for {base.task}; relabel its base of '{base.base.id}'.")
     if "infos/physics" not in base.fields:
-        raise UsageError(f"'{base_id}' holds no physics states and cannot be relabelled.")
+        hint = "; if the rewards in its files are a task's, import them with --task" if base.imported else ""
+        raise UsageError(f"'{base_id}' holds no physics states and cannot be relabelled{hint}.")
     facts = check_domain(base.domain)
-    chosen = check_tasks(facts, tasks)
+    custom = None if reward is None else load_reward(reward, facts)
+    if custom is not None and tasks is not None:
+        raise UsageError("--reward makes a task of its own; leave out --tasks.")
+    chosen = check_tasks(facts, tasks) if custom is None else (custom.name,)
     if not chosen:
         raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
     ids = {task: base_id.for_task(task) for task in chosen}
@@ -70,58 +78,63 @@ def relabel(
 
     say(f"relabel {base_id} ({base.describe()}) for {', '.join(chosen)}")
     started = time.monotonic()
-    flat = load_episodes(base_id, ("infos/physics", "actions"))
-    states = flat.split("infos/physics")
-    # Row 0 of an episode is its reset, which no action led to.
-    reached = np.concatenate([episode[1:] for episode in states])
-    rewards = _rewards(facts, reached, flat.arrays["actions"]).astype(np.float32)
+    flat = load_episodes(base_id, ("infos/physics", "actions", *(() if custom is None else ("observations",))))
+    rewards = _rewards(facts, chosen, custom, flat).astype(np.float32)
     ends = np.cumsum(flat.lengths)[:-1]
-    for task, one in ids.items():
-        column = np.ascontiguousarray(rewards[:, facts.tasks.index(task)])
-        _write(base, base_id, one, task, np.split(column, ends), standalone, started)
+    # The tasks' datasets share observations and actions.
+    coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
+    for index, (task, one) in enumerate(ids.items()):
+        column = np.ascontiguousarray(rewards[:, index])
+        _write(base, base_id, one, task, custom, np.split(column, ends), standalone, started, coverage)
         say(f"wrote {one} (mean reward {column.mean():.3f}) to {dataset_path(one)}")
     return [str(one) for one in ids.values()]
 
 
-def _rewards(domain: Domain, states: NDArray[np.float64], actions: NDArray[np.float32]) -> NDArray[np.float64]:
+def _rewards(domain: Domain, tasks: tuple[str, ...], custom: CustomReward | None, flat: FlatEpisodes) -> NDArray[np.float64]:
+    """Rewards (N, tasks) of all steps of a dataset, in pieces."""
     relabeler = plugins.load("relabelers", domain.relabeler)(domain)
+    # Row 0 of an episode is its reset, which no action led to.
+    states = np.concatenate([episode[1:] for episode in flat.split("infos/physics")])
+    actions, columns = flat.arrays["actions"], [domain.tasks.index(task) for task in tasks if task in domain.tasks]
+    observations = None if custom is None else np.concatenate([episode[1:] for episode in flat.split("observations")])
     parts = []
     with bars([("rewards", len(states))], "states") as (advance,):
-        for start in range(0, len(states), _ROWS):
-            rows = slice(start, start + _ROWS)
-            parts.append(relabeler.rewards(states[rows], actions[rows]))
+        for start in range(0, len(states), relabeler.rows):
+            rows = slice(start, start + relabeler.rows)
+            if custom is None or observations is None:
+                parts.append(relabeler.rewards(states[rows], actions[rows])[:, columns])
+            else:
+                quantities = relabeler.quantities(states[rows], actions[rows])
+                parts.append(custom(Measured(domain, quantities, states[rows], actions[rows], observations[rows]))[:, None])
             advance(len(parts[-1]))
     return np.concatenate(parts)
 
 
 def _write(
-    base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, rewards: list[NDArray[np.float32]],
-    standalone: bool, started: float,
+    base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, custom: CustomReward | None,
+    rewards: list[NDArray[np.float32]], standalone: bool, started: float, coverage: Coverage,
 ) -> None:  # fmt: skip
     hasher = FieldHasher()
     for episode in rewards:
         hasher.update("rewards", episode)
     fields = base.fields | hasher.digests()
-    head, dirty = commit()
     flags = ["--standalone"] if standalone else []
+    options = {"--task": task} if custom is None else {"--reward": custom.reference}
     manifest = base.model_copy(
         update={
             "task": task,
             "fields": fields,
             "fingerprint": fingerprint(fields),
             "base": Base(id=str(base_id), fingerprint=base.fingerprint, linked=not standalone),
-            "versions": versions(),
-            "commit": head,
-            "dirty": dirty,
-            "machine": machine("cpu", 1),
-            "seconds": round(time.monotonic() - started, 1),
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "command": command_line(f"relabel {base_id}", {"--task": task}, {}, *flags),
+            "reward": None if custom is None else RewardFunction(reference=custom.reference, sha256=custom.sha256),
+            "command": command_line(f"relabel {base_id}", options, {}, *flags),
         }
+        | stamp(started)
     )
-    description = f"{base_id} with the rewards of {base.domain} {task}; reward t is that of the state which action t led to."
+    origin = f"{base.domain} {task}" if custom is None else f"the function {custom.reference}"
+    description = f"{base_id} with the rewards of {origin}; reward t is that of the state which action t led to."
     with staging(dataset_id) as folder:
         source = dataset_path(base_id) / "data" / MAIN_FILE
         write_linked(source, folder / "data", dataset_path(dataset_id) / "data", rewards, standalone)
-        write_metadata(folder / "data", manifest, str(dataset_id), description)
+        write_metadata(folder / "data", manifest, str(dataset_id), description, coverage)
         publish(folder, dataset_id)

@@ -12,6 +12,7 @@ from cudc_bench.options import (
     MethodOption,
     OverwriteOption,
     ProfileOption,
+    RewardOption,
     SeedsOption,
     TasksOption,
     WorkersOption,
@@ -28,6 +29,7 @@ def relabel(
     domain: DomainOption = "walker",
     method: MethodOption = "cudc",
     tasks: TasksOption = "all",
+    reward: RewardOption = None,
     seeds: SeedsOption = "1",
     profile: ProfileOption = "auto",
     standalone: Annotated[bool, typer.Option("--standalone", help="Copy the base's data instead of linking to it.")] = False,
@@ -36,6 +38,7 @@ def relabel(
 ) -> None:
     """Compute the rewards of tasks from stored physics states."""
     from cudc_bench.envs import check_domain, check_tasks
+    from cudc_bench.envs.rewards import load_reward
     from cudc_bench.ids import default_id
     from cudc_bench.manifest import check_free
     from cudc_bench.progress import say
@@ -49,7 +52,8 @@ def relabel(
         for name in methods:
             check_collected(name, domain, numbers, profile=profile)
             for seed in numbers:
-                for task in check_tasks(check_domain(domain), chosen):
+                facts = check_domain(domain)
+                for task in check_tasks(facts, chosen) if reward is None else (load_reward(reward, facts).name,):
                     check_free(default_id(domain, name, seed).for_task(task), overwrite)
         for name in methods:
             wanted += ensure_collected(name, domain, numbers, profile=profile, workers=workers)
@@ -58,7 +62,11 @@ def relabel(
     ids: list[str] = []
     # All datasets are checked before any work starts, the last one before the first.
     for check_only in (True, False):
-        ids = [one for base in wanted for one in run(base, chosen, standalone=standalone, overwrite=overwrite, check_only=check_only)]
+        ids = [
+            one
+            for base in wanted
+            for one in run(base, chosen, reward=reward, standalone=standalone, overwrite=overwrite, check_only=check_only)
+        ]
     for one in ids:
         print(one)
-    say("next: cudc-bench evaluate --algo td3")
+    say("next: cudc-bench evaluate --algo td3" + (f" --reward {reward} --dataset-id {ids[0]}" if reward else ""))

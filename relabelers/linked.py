@@ -36,4 +36,5 @@ def write_linked(base: Path, data: Path, final: Path, rewards: list[NDArray[np.f
                 else:
                     group[field] = h5py.ExternalLink(target, f"/{name}/{field}")
             write_contiguous(group, "rewards", values)
-            write_episode_attributes(group, index, int(original.attrs["seed"]), values)
+            seed = original.attrs.get("seed")
+            write_episode_attributes(group, index, None if seed is None else int(seed), values)

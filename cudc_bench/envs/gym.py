@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from cudc_bench.envs.domains import check_domain, check_tasks, make_simulators, reward_function
+from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.envs.simulator import Float32
 
 
@@ -31,12 +32,14 @@ class SimulatorEnv(gymnasium.Env[Float32, Float32]):
     Args:
         domain: such as ``"walker"``.
         task: such as ``"walk"``; None gives reward 0.
+        reward: instead of a task, an own reward function as ``module:function`` (see ``cudc_bench.envs.rewards``).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own attribute
 
-    def __init__(self, domain: str, task: str | None = None) -> None:
+    def __init__(self, domain: str, task: str | None = None, reward: str | None = None) -> None:
         facts = check_domain(domain)
+        self._custom = None if reward is None else load_reward(reward, facts)
         self._task = None if task is None else facts.tasks.index(check_tasks(facts, [task])[0])
         self._rewards = reward_function(domain)
         self._simulator = make_simulators(domain, 1)[0]
@@ -52,11 +55,15 @@ class SimulatorEnv(gymnasium.Env[Float32, Float32]):
 
     def step(self, action: Float32) -> tuple[Float32, float, bool, bool, dict[str, Any]]:
         self._simulator.step(action)
-        reward = 0.0
-        if self._task is not None:
+        observation, info, reward = self._observation(), self._info(), 0.0
+        if self._task is not None or self._custom is not None:
             self._simulator.quantities(self._quantities)
+        if self._task is not None:
             reward = float(self._rewards(self._quantities)[self._task])
-        return self._observation(), reward, False, False, self._info()
+        elif self._custom is not None:
+            rows = (self._quantities, info["physics"], np.asarray(action), observation)
+            reward = float(self._custom(Measured(self._facts, *(row[None] for row in rows)))[0])
+        return observation, reward, False, False, info
 
     def _observation(self) -> Float32:
         observation = np.empty(self._facts.observation_size, np.float32)

@@ -7,7 +7,7 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.envs import DOMAINS
-from cudc_bench.evaluators.loop import EvaluateConfig, run_evaluation
+from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
 
 from .helpers import batch_for, make, random_walker_data
 
@@ -69,7 +69,7 @@ def test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end(name):
     config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=2, final_episodes=3, milestones=(10, 25))
     data = random_walker_data(1, "stand", (1, 2))
     told = []
-    outcomes = run_evaluation(agent, data, config, DOMAINS["walker"], ["stand", "walk"], told.append)
+    outcomes = run_evaluation(agent, data, config, Arena(DOMAINS["walker"], ["stand", "walk"]), told.append)
     assert sum(told) == 25
     for outcome in outcomes:
         assert [step for step, _ in outcome.curve] == [0, 10, 20, 25]
@@ -84,5 +84,5 @@ def test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end(name):
 def test_a_run_is_repeated_exactly(name):
     config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=1, milestones=(10, 20))
     data = [random_walker_data(1, "stand", (3,)) for _ in range(2)]
-    first, second = (run_evaluation(make(name, (3,)), d, config, DOMAINS["walker"], ["stand"], lambda n: None) for d in data)
+    first, second = (run_evaluation(make(name, (3,)), d, config, Arena(DOMAINS["walker"], ["stand"]), lambda n: None) for d in data)
     assert first == second

@@ -105,6 +105,6 @@ def test_beats_a_random_policy_on_walker_stand():
     random_return = float(data.rewards.sum()) / 40
     agent = make(seeds=(1,), width=64, batch_size=128)
     config = EvaluateConfig(gradient_steps=5000, evaluate_every=2500, evaluation_episodes=3, final_episodes=10, milestones=(2500, 5000))
-    (outcome,) = run_evaluation(agent, data, config, DOMAINS["walker"], ["stand"], lambda n: None)
+    (outcome,) = run_evaluation(agent, data, config, Arena(DOMAINS["walker"], ["stand"]), lambda n: None)
     assert all(math.isfinite(value) for _, row in outcome.metrics for value in row.values())
     assert np.mean(outcome.final) > 1.2 * random_return

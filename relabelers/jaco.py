@@ -1,0 +1,14 @@
+"""Jaco's four tasks from physics states."""
+
+from __future__ import annotations
+
+import mujoco
+
+from .base import KinematicRelabeler
+
+
+class JacoRelabeler(KinematicRelabeler):
+    """Exactly equal to the live rewards of reaching the four targets."""
+
+    def refresh(self) -> None:
+        mujoco.mj_kinematics(self.simulator.model, self.simulator.data)
