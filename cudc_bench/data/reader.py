@@ -5,6 +5,7 @@ Minari decodes every episode into objects and cannot sample transitions; trainin
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,24 +99,65 @@ def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Pa
             lengths = np.array([group.attrs["total_steps"] for group in groups], np.int64)
             arrays = {name: _read_field(groups, name, lengths) for name in fields}
     except (OSError, KeyError) as error:
-        raise RunError(f"the data of '{checked}' cannot be read ({path}): {str(error).splitlines()[0]}.") from None
+        raise _unreadable(checked, path, error) from None
     return FlatEpisodes(arrays, lengths, manifest)
+
+
+def _unreadable(dataset_id: DatasetId, path: Path, error: Exception) -> RunError:
+    return RunError(f"the data of '{dataset_id}' cannot be read ({path}): {str(error).splitlines()[0]}.")
 
 
 def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64]) -> Array:
     extra = 1 if has_reset_row(name) else 0
     first = groups[0][name]
     out = np.empty((int((lengths + extra).sum()), *first.shape[1:]), first.dtype)
-    leaf, start = name.encode(), 0
+    start = 0
     for group, length in zip(groups, lengths, strict=True):
-        # Low-level: opening each dataset through h5py's objects would take three times as long as reading it.
-        dataset = h5py.h5d.open(group.id, leaf)
         end = start + int(length) + extra
-        if dataset.shape != (end - start, *out.shape[1:]):
-            raise KeyError(f"{group.name}/{name} has shape {dataset.shape}, expected {(end - start, *out.shape[1:])}")
-        dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out[start:end])
+        _read_into(group, name, out[start:end])
         start = end
     return out
+
+
+def _read_into(group: h5py.Group, name: str, out: Array) -> None:
+    # Low-level: opening each dataset through h5py's objects would take three times as long as reading it.
+    dataset = h5py.h5d.open(group.id, name.encode())
+    if dataset.shape != out.shape:
+        raise KeyError(f"{group.name}/{name} has shape {dataset.shape}, expected {out.shape}")
+    dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out)
+
+
+def read_field(group: h5py.Group, name: str) -> Array:
+    """One field of one episode, in its own shape and type.
+
+    Args:
+        group: the episode's HDF5 group.
+        name: such as ``"infos/physics"``.
+
+    Raises:
+        OSError, KeyError: as h5py does, when the file is damaged or the field, or the base of a link, is missing.
+    """
+    dataset = h5py.h5d.open(group.id, name.encode())
+    out = np.empty(dataset.shape, dataset.dtype)
+    _read_into(group, name, out)
+    return out
+
+
+def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int) -> Iterator[dict[str, Array]]:
+    """Some fields of one episode after the other, with memory for one.
+
+    Args:
+        path: the HDF5 file; also one that is still in its staging folder, from where the links of a linked dataset resolve, too.
+        names: of the fields.
+        episodes: how many.
+
+    Raises:
+        OSError, KeyError: as for :func:`read_field`.
+    """
+    with h5py.File(path, "r") as file:
+        for index in range(episodes):
+            group = file[f"episode_{index}"]
+            yield {name: read_field(group, name) for name in names}
 
 
 def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = None) -> None:
@@ -174,12 +216,17 @@ def verify_fingerprint(dataset_id: DatasetId | str, root: Path | None = None) ->
     Raises:
         RunError: they differ; the message names the fields.
     """
-    manifest = read_manifest(dataset_id, root)
-    flat = load_episodes(dataset_id, tuple(manifest.fields), root)
+    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
+    manifest = read_manifest(checked, root)
+    check_base(manifest, checked, root)
     hasher = FieldHasher()
-    for name in manifest.fields:
-        for array in flat.split(name):
-            hasher.update(name, array)
+    path = dataset_path(checked, root) / "data" / MAIN_FILE
+    try:
+        for episode in iterate_episodes(path, tuple(manifest.fields), manifest.episodes):
+            for name, array in episode.items():
+                hasher.update(name, array)
+    except (OSError, KeyError) as error:
+        raise _unreadable(checked, path, error) from None
     found = hasher.digests()
     changed = [name for name, digest in found.items() if digest != manifest.fields[name]]
     if changed or fingerprint(found) != manifest.fingerprint:

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from cudc_bench.files import sync
 from cudc_bench.manifest import KEY, FieldHasher, Manifest
+
+if TYPE_CHECKING:
+    from cudc_bench.data.statistics import Coverage
 
 Array = NDArray[Any]
 MAIN_FILE = "main_data.hdf5"
@@ -28,14 +31,14 @@ class Episode:
     """One episode of T steps.
 
     Attributes:
-        seed: with which the environment was reset.
+        seed: with which the environment was reset; None where that is not known.
         observations: (T+1, S) float32.
         actions: (T, A) float32.
         infos: name to array (T+1, ...), such as ``physics`` (T+1, P) float64.
         rewards: (T,) float32; zeros when None.
     """
 
-    seed: int
+    seed: int | None
     observations: Array
     actions: Array
     infos: Mapping[str, Array] = field(default_factory=dict)
@@ -86,7 +89,8 @@ class EpisodeShards:
         temporary = path.with_suffix(".tmp")
         with temporary.open("wb") as file:
             for episode in self._pending:
-                np.save(file, np.array([episode.seed, episode.rewards is not None], np.uint64), allow_pickle=False)
+                head = [episode.seed or 0, episode.seed is not None, episode.rewards is not None]
+                np.save(file, np.array(head, np.uint64), allow_pickle=False)
                 infos = [episode.infos[name] for name in sorted(episode.infos)]
                 rewards = [] if episode.rewards is None else [episode.rewards]
                 for array in (episode.observations, episode.actions, *infos, *rewards):
@@ -103,12 +107,12 @@ class EpisodeShards:
         for path in self._shards:
             with path.open("rb") as file:
                 while file.peek(1):
-                    seed, has_rewards = np.load(file, allow_pickle=False)
+                    seed, has_seed, has_rewards = np.load(file, allow_pickle=False)
                     observations = np.load(file, allow_pickle=False)
                     actions = np.load(file, allow_pickle=False)
                     infos = {name: np.load(file, allow_pickle=False) for name in self._info_names}
                     rewards = np.load(file, allow_pickle=False) if has_rewards else None
-                    yield Episode(int(seed), observations, actions, infos, rewards)
+                    yield Episode(int(seed) if has_seed else None, observations, actions, infos, rewards)
 
     def remove(self) -> None:
         """Delete the shards: the dataset is complete without them."""
@@ -161,32 +165,52 @@ def write_contiguous(group: h5py.Group, name: str, array: Array) -> None:
         dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, array)
 
 
-def write_episode_attributes(group: h5py.Group, index: int, seed: int, rewards: Array) -> None:
-    """Write what Minari keeps of each episode beside its arrays."""
-    values = rewards.astype(np.float64)
-    attributes = {"id": index, "seed": seed, "total_steps": len(rewards)} | {
-        f"rewards_{name}": float(getattr(values, name)()) for name in ("sum", "mean", "std", "max", "min")
-    }
-    for name, value in attributes.items():
+def write_episode_attributes(group: h5py.Group, index: int, seed: int | None, rewards: Array) -> None:
+    """Write :func:`episode_attributes`."""
+    for name, value in episode_attributes(index, seed, rewards).items():
         group.attrs[name] = value
 
 
-def write_metadata(data: Path, manifest: Manifest, dataset_id: str, description: str) -> None:
-    """Write Minari's ``metadata.json``, with our manifest in it.
+def episode_attributes(index: int, seed: int | None, rewards: Array) -> dict[str, int | float]:
+    """What Minari keeps of each episode beside its arrays; an unknown seed is left out, as Minari itself does."""
+    values = rewards.astype(np.float64)
+    attributes = {"id": index, "total_steps": len(rewards)} | {
+        f"rewards_{name}": float(getattr(values, name)()) for name in ("sum", "mean", "std", "max", "min")
+    }
+    if seed is not None:
+        attributes["seed"] = seed
+    return attributes
+
+
+def write_metadata(data: Path, manifest: Manifest, dataset_id: str, description: str, coverage: Coverage | None = None) -> None:
+    """Write Minari's ``metadata.json``, with our manifest in it, and the dataset's card, ``README.md`` beside the ``data`` folder.
 
     Args:
         data: the dataset's ``data`` folder, with its HDF5 file complete.
         manifest: what the dataset is.
         dataset_id: its id.
         description: one paragraph for people.
+        coverage: of its observations and actions, where that is known; it is computed unless given.
     """
-    import gymnasium
+    metadata = minari_metadata(data, manifest, dataset_id, description)
+    (data / "metadata.json").write_text(json.dumps(metadata, indent=1) + "\n", encoding="utf-8")
+    from cudc_bench.data.card import render_card
+    from cudc_bench.data.statistics import measure_coverage, reward_statistics
+
+    file = data / MAIN_FILE
+    card = render_card(manifest, dataset_id, description, reward_statistics(file, manifest), coverage or measure_coverage(file, manifest))
+    (data.parent / "README.md").write_text(card, encoding="utf-8")
+
+
+def minari_metadata(data: Path, manifest: Manifest, dataset_id: str, description: str) -> dict[str, Any]:
+    """What Minari keeps of a dataset in ``metadata.json``; the arguments are those of :func:`write_metadata`."""
     import minari
     from minari.serialization import serialize_space
 
-    from cudc_bench.envs import env_id
+    from cudc_bench.envs import env_spec
     from cudc_bench.envs.gym import action_space, observation_space
 
+    reward = None if manifest.reward is None else manifest.reward.reference
     requirements = [f"{name}=={manifest.versions[name]}" for name in ("cudc-bench", "dm-control", "mujoco", "gymnasium")]
     metadata: dict[str, Any] = {
         "dataset_id": dataset_id,
@@ -197,15 +221,15 @@ def write_metadata(data: Path, manifest: Manifest, dataset_id: str, description:
         "dataset_size": round((data / MAIN_FILE).stat().st_size / 1e6, 3),
         "observation_space": serialize_space(observation_space(manifest.domain)),
         "action_space": serialize_space(action_space(manifest.domain)),
-        "env_spec": gymnasium.spec(env_id(manifest.domain, manifest.task)).to_json(),
-        "algorithm_name": manifest.method,
-        "author": ["cudc-bench"],
+        "env_spec": env_spec(manifest.domain, manifest.task, reward).to_json(),
+        "algorithm_name": manifest.label,
+        "author": ["cudc-bench" if manifest.imported is None else manifest.imported.source],
         "author_email": [],
-        "code_permalink": manifest.commit or "",
+        "code_permalink": (manifest.commit if manifest.imported is None else None) or "",
         "description": description,
         "requirements": requirements,
         KEY: manifest.model_dump(),
     }
     if manifest.base is not None and manifest.base.linked:
         metadata["combined_datasets"] = [manifest.base.id]
-    (data / "metadata.json").write_text(json.dumps(metadata, indent=1) + "\n", encoding="utf-8")
+    return metadata

@@ -35,7 +35,8 @@ def everything(root: Path) -> list[str]:
 
 def files(name: str) -> list[str]:
     """What a finished dataset consists of."""
-    return [name, *(f"{name}/{file}" for file in ("data", "data/main_data.hdf5", "data/metadata.json", "diagnostics.jsonl"))]
+    inside = ("README.md", "data", "data/main_data.hdf5", "data/metadata.json", "diagnostics.jsonl")
+    return [name, *(f"{name}/{file}" for file in inside)]
 
 
 @contextmanager

@@ -1,0 +1,43 @@
+"""Text for Markdown and templates: nothing that comes from a dataset, a record or a user is taken for markup."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def plain(text: str) -> str:
+    """One line without control characters, which could drive a terminal or break a file's syntax."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def escape_markdown(text: str) -> str:
+    """Text that Markdown shows as it is, inside table cells too."""
+    return re.sub(r"([\\`*_{}\[\]<>&#|~$!@])", r"\\\1", plain(text))
+
+
+@cache
+def templates(folder: Path, escape: Callable[[str], str]) -> Environment:
+    """Templates whose every value is escaped unless it passes the ``safe`` filter; braces mean nothing, for LaTeX's sake.
+
+    Args:
+        folder: where they are.
+        escape: makes text safe for the language that they are written in.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finish(value: Any) -> Any:
+        return value if isinstance(value, Markup) else escape(str(value))
+
+    return Environment(
+        loader=FileSystemLoader(folder), undefined=StrictUndefined, finalize=finish,
+        variable_start_string="<<", variable_end_string=">>", block_start_string="<%", block_end_string="%>",
+        comment_start_string="<#", comment_end_string="#>", trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
