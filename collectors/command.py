@@ -1,6 +1,11 @@
-"""``cudc-bench collect``."""
+"""``cudc-bench collect`` and ``cudc-bench import-exorl``."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from cudc_bench.errors import UsageError
 from cudc_bench.options import (
@@ -12,6 +17,7 @@ from cudc_bench.options import (
     ProfileOption,
     SeedsOption,
     SetOption,
+    TasksOption,
     WorkersOption,
     parse_names,
     parse_seeds,
@@ -32,6 +38,7 @@ def collect(
     """Explore a domain without rewards and write Minari datasets."""
     from cudc_bench import plugins
     from cudc_bench.config import parse_settings
+    from cudc_bench.envs import check_domain
     from cudc_bench.progress import say
 
     from .api import collect as run
@@ -54,4 +61,40 @@ def collect(
         ]  # fmt: skip
     for one in ids:
         print(one)
-    say(f"next: cudc-bench relabel {ids[0]}, or in Python: minari.load_dataset('{ids[0]}')")
+    relabel = f": cudc-bench relabel {ids[0]}, or" if check_domain(domain).tasks else ","
+    say(f"next{relabel} in Python: minari.load_dataset('{ids[0]}')")
+
+
+def import_exorl(
+    directory: Annotated[Path, typer.Argument(help="Folder of the .npz files of one collection.")],
+    method: MethodOption,
+    domain: DomainOption = "walker",
+    task: TasksOption = "",
+    steps: Annotated[int | None, typer.Option("--steps", help="Only the first so many steps.")] = None,
+    seed: SeedsOption = "1",
+    source: Annotated[str, typer.Option("--source", help="Who collected the files, as tables name it.")] = "ExORL",
+    dataset_id: DatasetIdOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Turn episode files of ExORL or URLB into a Minari dataset."""
+    from cudc_bench.manifest import read_manifest
+    from cudc_bench.progress import say
+
+    from .imports import import_exorl as run
+
+    methods, tasks, seeds = parse_names(method), parse_names(task), parse_seeds(seed)
+    for name, values, most in (("--method", methods, "one"), ("--task", tasks, "at most one"), ("--seed", seeds, "one")):
+        if len(values) > 1 or not (values or most != "one"):
+            raise UsageError(f"{name} takes {most} here, since all files belong to one collection; import others separately.")
+    one = run(
+        directory, methods[0], domain, task=tasks[0] if tasks else None, steps=steps, seed=seeds[0], source=source,
+        dataset_id=dataset_id, overwrite=overwrite,
+    )  # fmt: skip
+    print(one)
+    manifest = read_manifest(one)
+    if manifest.task is not None:
+        say(f"next: cudc-bench evaluate --dataset-id {one}")
+    elif "infos/physics" in manifest.fields:
+        say(f"next: cudc-bench relabel {one}, then cudc-bench evaluate --dataset-id {one}")
+    else:
+        say(f"next, in Python: minari.load_dataset('{one}')")

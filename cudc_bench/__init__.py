@@ -15,9 +15,21 @@ from typing import Any as _Any
 if _TYPE_CHECKING:
     from cudc_bench.data.reader import Transitions as Transitions
     from cudc_bench.data.reader import load_transitions as load_transitions
+    from cudc_bench.verification import Verification as Verification
+    from cudc_bench.verification import verify as verify
 
-__all__ = ["Transitions", "collect", "evaluate", "load_transitions", "make_leaderboard", "relabel"]
-_STAGES = ("collect", "relabel", "evaluate", "make_leaderboard")
+__all__ = [
+    "Transitions",
+    "Verification",
+    "collect",
+    "evaluate",
+    "import_exorl",
+    "load_transitions",
+    "make_leaderboard",
+    "relabel",
+    "verify",
+]
+_STAGES = ("collect", "import_exorl", "relabel", "evaluate", "make_leaderboard")
 
 
 def __getattr__(name: str) -> _Any:
@@ -30,6 +42,10 @@ def __getattr__(name: str) -> _Any:
         from cudc_bench.data import reader
 
         found = getattr(reader, name)
+    elif name in {"Verification", "verify"}:
+        from cudc_bench import verification
+
+        found = getattr(verification, name)
     else:
         raise AttributeError(f"module 'cudc_bench' has no attribute '{name}'")
     globals()[name] = found

@@ -15,7 +15,7 @@ from cudc_bench.errors import CudcBenchError
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
-_ORDER = ("collect", "relabel", "evaluate", "leaderboard", "list", "doctor")
+_ORDER = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "verify", "list", "doctor")
 
 
 def _show_version(wanted: bool) -> None:
@@ -46,6 +46,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted."""
     try:
         code = build_app()(arguments, standalone_mode=False)
+        if code == 130:  # typer takes Ctrl-C for itself, and says nothing
+            _complain("interrupted.")
     except CudcBenchError as error:
         _complain(str(error))
         code = error.exit_code

@@ -20,6 +20,8 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root
 
 KEY = "cudc_bench"
+IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
+Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -33,17 +35,55 @@ class Base(BaseModel):
     linked: bool
 
 
+class RewardFunction(BaseModel):
+    """A user's own reward function that labelled a dataset (see ``cudc_bench.envs.rewards``).
+
+    Attributes:
+        reference: ``module:function``.
+        sha256: of the function's source text.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    reference: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*:[A-Za-z_][A-Za-z0-9_]*$", max_length=200)]
+    sha256: _Sha256
+
+
+class Import(BaseModel):
+    """Where a dataset that was not collected here came from.
+
+    Attributes:
+        source: who collected it, such as ``"ExORL"``.
+        files: how many files it was made from.
+        sha256: SHA-256 over the output of ``sha256sum`` for those files in collection order, with their names alone.
+        clipped: how many numbers of actions were beyond [-1, 1] by rounding, and were clipped.
+        ignored: arrays of the files that were left out.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    source: Source
+    files: int
+    sha256: _Sha256
+    clipped: int = 0
+    ignored: list[str] = []
+
+
 class Manifest(BaseModel):
     """What a dataset is.
 
     Attributes:
         schema_version: of this format.
-        domain, task, method, seed: what was collected; ``task`` is None for a task-agnostic dataset, whose rewards are all 0.
+        domain, task, method, seed: what was collected; ``task`` is None for a task-agnostic dataset, whose rewards are all 0. An imported
+            dataset's seed is the number that it was given at import.
         steps, episodes: sizes.
-        profile, overrides: the named set of hyperparameters, and what differs from it.
-        hyperparameters, hyperparameters_hash: all values.
+        profile, overrides: the named set of hyperparameters, and what differs from it; ``"imported"`` and nothing for an imported dataset.
+        hyperparameters, hyperparameters_hash: all values; none are known for an imported dataset.
+        citation: the method's paper, as its plug-in names it.
         fields: SHA-256 of each field; ``fingerprint``: of all of them.
         base: of a relabelled dataset.
+        reward: the user's function that labelled it, for a task that is none of the domain's own.
+        imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
         diagnostics: the last line of the collection's diagnostics and the method's own summary.
         versions, commit, dirty, machine, seconds, created, command: provenance.
     """
@@ -61,9 +101,12 @@ class Manifest(BaseModel):
     overrides: dict[str, Any] = {}
     hyperparameters: dict[str, Any]
     hyperparameters_hash: str
+    citation: str = ""
     fields: dict[str, _Sha256]
     fingerprint: _Sha256
     base: Base | None = None
+    reward: RewardFunction | None = None
+    imported: Import | None = None
     diagnostics: dict[str, Any] = {}
     versions: dict[str, str]
     commit: str | None = None
@@ -73,8 +116,20 @@ class Manifest(BaseModel):
     created: str
     command: str
 
+    @property
+    def label(self) -> str:
+        """The method, with its source where this project did not collect it: ``"proto (ExORL)"``."""
+        return self.method if self.imported is None else f"{self.method} ({self.imported.source})"
+
+    @property
+    def has_episode_seeds(self) -> bool:
+        """Whether each episode's seed is known and stored, so that resetting with it gives the episode's first observation."""
+        return self.imported is None
+
     def describe(self) -> str:
-        """What is there, in a few words, for messages: method, profile, seed, steps."""
+        """What is there, in a few words, for messages: method, profile or source, seed, steps."""
+        if self.imported is not None:
+            return f"{self.method} imported from {self.imported.source}, seed {self.seed}, {self.steps:,} steps"
         changed = " with " + ", ".join(f"{k}={v}" for k, v in sorted(self.overrides.items())) if self.overrides else ""
         return f"{self.method}, profile {self.profile}{changed}, seed {self.seed}, {self.steps:,} steps"
 
@@ -111,12 +166,12 @@ def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
     return dataset_path(dataset_id, root).exists()
 
 
-def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Manifest:
-    """Read a dataset's manifest.
+def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict[str, Any]:
+    """Read Minari's metadata of one of our datasets, with the manifest in it unchecked.
 
     Raises:
         UsageError: there is no such dataset, or it is not one of ours.
-        RunError: its metadata is damaged.
+        RunError: the file is damaged.
     """
     path = metadata_path(dataset_id, root)
     try:
@@ -127,6 +182,17 @@ def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Mani
         raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
     if not isinstance(metadata, dict) or KEY not in metadata:
         raise UsageError(f"'{dataset_id}' was not made by cudc-bench: it has no manifest.")
+    return metadata
+
+
+def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Manifest:
+    """Read a dataset's manifest.
+
+    Raises:
+        UsageError: there is no such dataset, or it is not one of ours.
+        RunError: its metadata is damaged.
+    """
+    metadata = read_metadata(dataset_id, root)
     try:
         return Manifest.model_validate(metadata[KEY])
     except ValidationError as error:

@@ -7,7 +7,9 @@ import os
 import platform
 import shlex
 import subprocess
+import time
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -71,6 +73,24 @@ def command_line(command: str, options: Mapping[str, str], overrides: Mapping[st
     for name, value in overrides.items():
         words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
     return shlex.join([*words, *flags])
+
+
+def stamp(started: float, device: str = "cpu", threads: int = 1) -> dict[str, Any]:
+    """The fields of a manifest that say what it was made with, on what and when, apart from the command.
+
+    Args:
+        started: ``time.monotonic()`` when the work began.
+        device, threads: used for it.
+    """
+    head, dirty = commit()
+    return {
+        "versions": versions(),
+        "commit": head,
+        "dirty": dirty,
+        "machine": machine(device, threads),
+        "seconds": round(time.monotonic() - started, 1),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def machine(device: str, threads: int) -> dict[str, Any]:

@@ -15,9 +15,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from cudc_bench.errors import RunError
 from cudc_bench.files import write_atomically
+from cudc_bench.manifest import RewardFunction, Source
 
 SCHEMA_VERSION = 1
-_Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+_Domain = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63})$")]
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -34,17 +36,21 @@ class DatasetReference(_Strict):
         domain, task, method, seed, steps: what it is.
         profile: at which profile it was collected.
         overrides: hyperparameters of the collection that differ from that profile.
+        reward: the user's own function that labelled it, if it is none of the domain's tasks.
+        source: who collected it, such as ``"ExORL"``, if it was imported; None if this project's own collector did.
     """
 
     id: str
     fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    domain: _Name
-    task: _Name
-    method: _Name
+    domain: _Domain
+    task: Name
+    method: Name
     seed: Annotated[int, Field(ge=0)]
     steps: Annotated[int, Field(ge=1)]
-    profile: _Name
+    profile: Name
     overrides: dict[str, Any] = {}
+    reward: RewardFunction | None = None
+    source: Source | None = None
 
 
 class Evaluation(_Strict):
@@ -92,8 +98,8 @@ class Record(_Strict):
 
     schema_version: Literal[1] = 1
     dataset: DatasetReference
-    algorithm: _Name
-    profile: _Name
+    algorithm: Name
+    profile: Name
     overrides: dict[str, Any] = {}
     seed: Annotated[int, Field(ge=0)]
     hyperparameters: dict[str, Any]
@@ -123,11 +129,15 @@ class Record(_Strict):
     def group(self) -> str:
         """The table that this record belongs to: results of different profiles or settings never share one.
 
-        The profile's name, followed by whatever differs from it, as in ``"cpu (collect: steps=100000)"``.
+        The profile's name, followed by whatever differs from it, as in ``"cpu (collect: steps=100000)"``. An imported dataset was
+        collected at no profile; it belongs to the training's, in a column of its own.
         """
         changes = []
-        if self.dataset.profile != self.profile:
+        if self.dataset.profile != self.profile and self.dataset.source is None:
             changes.append(f"collected at {self.dataset.profile}")
+        if self.dataset.reward is not None:
+            # A function that was changed on the way is another task.
+            changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
             if overrides:
                 # As JSON, in which no two values look alike.

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.records import Record
 
-from .table import Table, seed_scores, short
+from .load import column, short
+from .table import Table, seed_scores
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,7 +109,7 @@ def _draw_panel(panel: Axes, table: Table, task: str) -> None:
     for section in table.sections:
         panel.axvline(section.milestone, color="#B0B0B0", linewidth=0.8, linestyle=":", zorder=0)
     for method, look in looks(table.methods).items():
-        records = [r for r in table.records if (r.dataset.task, r.dataset.method) == (task, method)]
+        records = [r for r in table.records if (r.dataset.task, column(r)) == (task, method)]
         if not records:
             continue
         steps, means, stds = curve(records)

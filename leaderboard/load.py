@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
+from cudc_bench.markup import plain
 from cudc_bench.records import Evaluation, Record, read_record
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ def load_records(paths: Iterable[Path]) -> Loaded:
 def to_frame(records: Iterable[Record]) -> pd.DataFrame:
     """One row for each record and milestone, for analyses of one's own.
 
-    Columns: group, algorithm, domain, task, method, dataset_seed, seed, milestone (gradient steps), score (mean undiscounted return;
-    NaN if nothing was evaluated there) and episodes (behind that score).
+    Columns: group, algorithm, domain, task, method (as :func:`column`), dataset_seed, seed, milestone (gradient steps), score (mean
+    undiscounted return; NaN if nothing was evaluated there) and episodes (behind that score).
     """
     import pandas as pd
 
@@ -72,7 +73,7 @@ def to_frame(records: Iterable[Record]) -> pd.DataFrame:
             "algorithm": record.algorithm,
             "domain": record.dataset.domain,
             "task": record.dataset.task,
-            "method": record.dataset.method,
+            "method": column(record),
             "dataset_seed": record.dataset.seed,
             "seed": record.seed,
             "milestone": milestone,
@@ -94,9 +95,21 @@ def evaluation_at(record: Record, step: int) -> Evaluation | None:
     return next((evaluation for evaluation in record.curve if evaluation.step == step), None)
 
 
-def plain(text: str) -> str:
-    """One line without control characters, which could drive a terminal or break a file's syntax."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+def column(record: Record) -> str:
+    """The name under which a record's dataset is compared: its method, or ``"proto (ExORL, 10M)"`` if it was imported.
+
+    No profile fixes the size of an imported dataset; its steps are in the name, so that datasets of different sizes never share a cell.
+    """
+    dataset = record.dataset
+    return dataset.method if dataset.source is None else f"{dataset.method} ({dataset.source}, {short(dataset.steps)})"
+
+
+def short(steps: float) -> str:
+    """``20000`` -> ``"20K"``, ``1500000`` -> ``"1.5M"``."""
+    for size, letter in ((1e6, "M"), (1e3, "K")):
+        if steps >= size:
+            return f"{steps / size:.6g}{letter}"
+    return f"{steps:.6g}"
 
 
 def _files(paths: Iterable[Path]) -> list[Path]:

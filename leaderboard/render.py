@@ -6,15 +6,15 @@ import csv
 import io
 import re
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .load import plain
-from .table import Cell, Table, short
+from cudc_bench.markup import escape_markdown, plain, templates
+
+from .load import short
+from .table import Cell, Table
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
     from rich.console import Group
 
 _TEX = {
@@ -67,11 +67,6 @@ def to_rich(table: Table) -> Group:
     return Group(title, shown, Text(table.caption, style="dim"))
 
 
-def escape_markdown(text: str) -> str:
-    """Text that Markdown shows as it is, inside table cells too."""
-    return re.sub(r"([\\`*_{}\[\]<>&#|~$!@])", r"\\\1", plain(text))
-
-
 def escape_latex(text: str) -> str:
     """Text that LaTeX shows as it is; characters beyond ASCII, which a font may lack, by their numbers."""
     ascii_only = plain(text).encode("ascii", "backslashreplace").decode()
@@ -87,20 +82,5 @@ def _text(cell: Cell | None) -> str:
 
 
 def _render(template: str, table: Table, escape: Callable[[str], str]) -> str:
-    return _environment(escape).get_template(template).render(table=table, round=round, short=short)
-
-
-@cache
-def _environment(escape: Callable[[str], str]) -> Environment:
-    """Templates whose every value is escaped unless it passes the ``safe`` filter; braces mean nothing, for LaTeX's sake."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
-
-    def finish(value: Any) -> Any:
-        return value if isinstance(value, Markup) else escape(str(value))
-
-    return Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")), undefined=StrictUndefined, finalize=finish,
-        variable_start_string="<<", variable_end_string=">>", block_start_string="<%", block_end_string="%>",
-        comment_start_string="<#", comment_end_string="#>", trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip
+    environment = templates(Path(__file__).with_name("templates"), escape)
+    return environment.get_template(template).render(table=table, round=round, short=short)

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field, replace
 from statistics import fmean, stdev
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.ids import domain_slug
 from cudc_bench.records import Record
 
-from .load import evaluation_at, plain
+from .load import column, evaluation_at, plain, short
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
 ENOUGH_SEEDS = 5
@@ -67,7 +68,7 @@ class Table:
         group: profile and whatever differs from it, on one line (see ``Record.group``).
         algorithm, domain: evaluator and domain.
         slug: a safe and unique name for files.
-        methods: the columns: the paper's baselines and CUDC in the paper's order, then others by name.
+        methods: the columns: the paper's baselines and CUDC in the paper's order, then others by name; imported datasets have their own.
         sections: one for each milestone, ascending.
         records: all that it was made from.
     """
@@ -107,10 +108,12 @@ class Table:
         steps = " and ".join(short(section.milestone) for section in self.sections)
         episodes = ", ".join(f"{_span(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
         preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
+        imported = any(record.dataset.source for record in self.records)
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
             f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets, the best mean of a row is bold."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
+            + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (" Preliminary: fewer than five seeds." if preliminary else "")
         )
 
@@ -145,14 +148,6 @@ def seed_scores(records: Iterable[Record], step: int) -> list[float]:
     return [fmean(scores) for _, scores in sorted(seeds.items())]
 
 
-def short(steps: float) -> str:
-    """``20000`` -> ``"20K"``, ``1500000`` -> ``"1.5M"``."""
-    for size, letter in ((1e6, "M"), (1e3, "K")):
-        if steps >= size:
-            return f"{steps / size:.6g}{letter}"
-    return f"{steps:.6g}"
-
-
 def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
     found = Counter(_milestones(record) for record in records)
     most = max(found, key=lambda milestones: (found[milestones], milestones))
@@ -180,12 +175,12 @@ def _doubts(records: Sequence[Record]) -> list[str]:
 
 
 def _build(group: str, algorithm: str, domain: str, records: Sequence[Record]) -> Table:
-    methods = _ordered({record.dataset.method for record in records}, METHOD_ORDER)
+    methods = _ordered({column(record) for record in records}, METHOD_ORDER)
     known = DOMAINS[domain].tasks if domain in DOMAINS else ()
     tasks = _ordered({*known, *(record.dataset.task for record in records)}, known)
     cells: dict[tuple[str, str], list[Record]] = defaultdict(list)
     for record in records:
-        cells[record.dataset.task, record.dataset.method].append(record)
+        cells[record.dataset.task, column(record)].append(record)
     sections = []
     for milestone in _milestones(records[0]):
         rows = [Row(task, _best([_cell(cells[task, method], milestone) for method in methods])) for task in tasks]
@@ -216,8 +211,8 @@ def _slug(group: str, algorithm: str, domain: str) -> str:
         # Different settings may look alike once their punctuation is gone; the digest keeps them apart.
         readable = re.sub(r"[^a-z0-9]+", "-", group.lower())[:60].strip("-")
         group = f"{readable}-{hashlib.sha256(group.encode()).hexdigest()[:8]}"
-    # Names have no dots, so different triples cannot give one slug.
-    return f"{group}.{algorithm}.{domain}"
+    # Neither group nor algorithm has a dot, so different triples cannot give one slug.
+    return f"{group}.{algorithm}.{domain_slug(domain)}"
 
 
 def _milestones(record: Record) -> tuple[int, ...]:

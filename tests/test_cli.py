@@ -22,14 +22,14 @@ from cudc_bench.records import read_record
 from .conftest import Finished
 
 TASKS = ("stand", "walk", "run", "flip")
-COMMANDS = ("collect", "relabel", "evaluate", "leaderboard", "list", "doctor")
+COMMANDS = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "verify", "list", "doctor")
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.
 REFUSALS = {
     "collect --method cudk": "unknown method 'cudk'; allowed: cudc, random. Did you mean 'cudc'?",
     "collect --method": "'--method' requires an argument",
     "collect --method ,": "--method is empty",
-    "collect --domain wlaker --method random": "unknown domain 'wlaker'; allowed: walker. Did you mean 'walker'?",
+    "collect --domain wlaker --method random": "allowed: dm_control/<domain>-<task>, jaco, quadruped, walker. Did you mean 'walker'?",
     "collect --profile smoek --method random": "unknown profile 'smoek'",
     "collect --device tpu --method random": "unknown device 'tpu'; allowed: auto, cpu, cuda.",
     "collect --seeds 3-1 --method random": "--seeds cannot have the range '3-1'",
@@ -73,6 +73,11 @@ REFUSALS = {
     "evaluate --dataset-id ../evil-v0": "'../evil-v0' is not a dataset id",
     "evaluate --method random --workers 0": "--workers takes 1 or more, not 0.",
     "leaderboard nowhere": "there are no results at 'nowhere'",
+    "verify": "Missing argument",
+    "verify walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
+    "verify ../evil-v0": "'../evil-v0' is not a dataset id",
+    "verify walker/cudc-v0 --sample 0": "--sample takes 1 or more transitions, not 0; --all takes all.",
+    "verify walker/cudc-v0 --all --sample 5": "--all and --sample contradict each other; give one of them.",
 }  # fmt: skip
 
 

@@ -28,8 +28,10 @@ name = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,63}", fullmatch=True)
 scalar = st.none() | st.booleans() | st.integers() | finite | st.text(max_size=8)
 overrides = st.dictionaries(st.from_regex(r"[a-z_]{1,9}", fullmatch=True), scalar | st.lists(scalar, max_size=3), max_size=3)
 datasets = st.builds(
-    DatasetReference, id=st.text(max_size=20), fingerprint=st.text("0123456789abcdef", min_size=64, max_size=64), domain=name, task=name,
-    method=name, seed=st.integers(0), steps=st.integers(1), profile=name, overrides=overrides,
+    DatasetReference, id=st.text(max_size=20), fingerprint=st.text("0123456789abcdef", min_size=64, max_size=64),
+    domain=name | st.from_regex(r"dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63}", fullmatch=True), task=name, method=name,
+    seed=st.integers(0), steps=st.integers(1), profile=name, overrides=overrides,
+    source=st.none() | st.from_regex(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?", fullmatch=True),
 )  # fmt: skip
 
 
@@ -57,7 +59,7 @@ def example(**changes: Any) -> dict[str, Any]:
         "schema_version": 1,
         "dataset": {
             "id": "walker/walk/cudc-v0", "fingerprint": "a" * 64, "domain": "walker", "task": "walk", "method": "cudc", "seed": 1,
-            "steps": 1000, "profile": "cpu", "overrides": {},
+            "steps": 1000, "profile": "cpu", "overrides": {}, "reward": None, "source": None,
         },
         "algorithm": "td3", "profile": "cpu", "overrides": {}, "seed": 1, "hyperparameters": {"width": 16}, "hyperparameters_hash": "0",
         "milestones": [10, 20],
@@ -155,6 +157,7 @@ def test_a_curve_is_in_order_and_the_final_evaluation_at_its_end(steps: list[int
         {"final": {"step": 20, "returns": []}},
         {"dataset": example()["dataset"] | {"fingerprint": "a" * 63}}, {"dataset": example()["dataset"] | {"task": None}},
         {"dataset": example()["dataset"] | {"steps": 0}}, {"dataset": example()["dataset"] | {"method": "a/b"}}, {"overrides": []},
+        *({"dataset": example()["dataset"] | {"domain": domain}} for domain in ("a/b", "dm_control/", "dm_control/../a", "Walker", "a.b")),
         {"curve": [{"step": -1, "returns": [0.0]}]},
     ],
     ids=lambda changes: str(changes)[:40],

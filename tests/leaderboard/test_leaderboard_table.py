@@ -3,6 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cudc_bench.leaderboard.figures import draw_curves
+from cudc_bench.leaderboard.load import to_frame
 from cudc_bench.leaderboard.table import build_tables, short
 
 
@@ -102,6 +104,14 @@ def test_what_may_not_be_compared_never_shares_a_table(other, make_record):
     assert all(c.n == 1 for table in tables for c in table.cells)
 
 
+def test_slugs_of_domains_that_look_alike_differ_and_make_no_folders(make_record):
+    domains = ["dm_control/cheetah-run", "dm_control-cheetah-run", "dm_control/cheetah_run", "dm_control_cheetah-run"]
+    tables, _ = build_tables([make_record(dataset_domain=domain) for domain in domains])
+    slugs = {table.slug for table in tables}
+    assert len(slugs) == len(domains)
+    assert not any("/" in slug for slug in slugs)
+
+
 def test_other_milestones_are_left_out_and_reported(make_record):
     records = [make_record(seed=seed) for seed in (1, 2)]
     odd = make_record(seed=3, milestones=[10_000], final=[999.0])
@@ -165,3 +175,30 @@ def test_order_of_records_does_not_matter(make_record):
 )
 def test_short(steps, text):
     assert short(steps) == text
+
+
+def test_an_imported_dataset_has_a_column_of_its_own_for_each_size(make_record):
+    imported = {"method": "proto", "dataset_source": "ExORL", "dataset_profile": "imported"}
+    records = [
+        make_record(method="proto", final=[100.0]),
+        make_record(**imported, dataset_steps=10_000_000, final=[900.0]),
+        make_record(**imported, dataset_steps=1_000_000, final=[300.0]),
+        make_record(**imported | {"dataset_source": "A. Nother"}, dataset_steps=1_000_000, final=[200.0]),
+    ]
+    table, problems = only(records)
+    assert problems == []
+    assert table.group == "cpu"
+    assert table.methods == ("proto", "proto (A. Nother, 1M)", "proto (ExORL, 10M)", "proto (ExORL, 1M)")
+    assert [cell(table, 1, "walk", method).mean for method in table.methods] == [100.0, 200.0, 900.0, 300.0]
+    assert "that dataset was imported, not collected here." in table.caption
+    assert "imported" not in only(records[:1])[0].caption
+    assert list(to_frame(records).method.unique()) == ["proto", "proto (ExORL, 10M)", "proto (ExORL, 1M)", "proto (A. Nother, 1M)"]
+
+
+def test_a_figure_draws_an_imported_dataset_as_a_line_of_its_own(make_record):
+    imported = make_record(method="cudc", dataset_source="ExORL", dataset_profile="imported", dataset_steps=10_000_000)
+    figure = draw_curves(only([make_record(), imported])[0])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["cudc", "cudc (ExORL, 10M)"]
+    (panel,) = [panel for panel in figure.axes if panel.get_visible()]
+    solid, dashed = [line for line in panel.lines if line.get_linestyle() != ":"]
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
