@@ -50,7 +50,7 @@ def _domains() -> Table:
     table = _table("Domains (--domain)", "name", "tasks", "measured for --reward", "observation", "action", "steps")
     for domain in DOMAINS.values():
         sizes = (domain.observation_size, domain.action_size, domain.episode_length)
-        table.add_row(domain.name, ", ".join(domain.tasks), ", ".join(domain.quantities), *map(str, sizes))
+        table.add_row(domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), *map(str, sizes))
     table.caption = f"and any of dm_control's suite through Shimmy, slower: {SUITE}<domain>-<task>, such as {SUITE}cheetah-run"
     table.caption_justify = "left"
     return table
