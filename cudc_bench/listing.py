@@ -47,10 +47,10 @@ def _methods() -> Table:
 def _domains() -> Table:
     from cudc_bench.envs.domains import DOMAINS, SUITE
 
-    table = _table("Domains (--domain)", "name", "tasks", "measured for --reward", "observation", "action", "steps")
+    table = _table("Domains (--domain)", "name", "tasks", "measured", "obs, act, steps")
     for domain in DOMAINS.values():
         sizes = (domain.observation_size, domain.action_size, domain.episode_length)
-        table.add_row(domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), *map(str, sizes))
+        table.add_row(domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), ", ".join(map(str, sizes)))
     table.caption = f"and any of dm_control's suite through Shimmy, slower: {SUITE}<domain>-<task>, such as {SUITE}cheetah-run"
     table.caption_justify = "left"
     return table
