@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench import plugins
-from cudc_bench.data.reader import FlatEpisodes, load_episodes
+from cudc_bench.data.reader import read_episodes
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.data.writer import MAIN_FILE, write_metadata
@@ -78,36 +78,37 @@ def relabel(
 
     say(f"relabel {base_id} ({base.describe()}) for {', '.join(chosen)}")
     started = time.monotonic()
-    flat = load_episodes(base_id, ("infos/physics", "actions", *(() if custom is None else ("observations",))))
-    rewards = _rewards(facts, chosen, custom, flat).astype(np.float32)
-    ends = np.cumsum(flat.lengths)[:-1]
+    rewards = _rewards(base_id, base, facts, chosen, custom)
     # The tasks' datasets share observations and actions.
     coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
     for index, (task, one) in enumerate(ids.items()):
-        column = np.ascontiguousarray(rewards[:, index])
-        _write(base, base_id, one, task, custom, np.split(column, ends), standalone, started, coverage)
-        say(f"wrote {one} (mean reward {column.mean():.3f}) to {dataset_path(one)}")
+        columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
+        _write(base, base_id, one, task, custom, columns, standalone, started, coverage)
+        mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
+        say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
     return [str(one) for one in ids.values()]
 
 
-def _rewards(domain: Domain, tasks: tuple[str, ...], custom: CustomReward | None, flat: FlatEpisodes) -> NDArray[np.float64]:
-    """Rewards (N, tasks) of all steps of a dataset, in pieces."""
+def _rewards(
+    base_id: DatasetId, base: Manifest, domain: Domain, tasks: tuple[str, ...], custom: CustomReward | None
+) -> list[NDArray[np.float32]]:
+    """Rewards (T, tasks) of each episode of a dataset, with memory for one episode beside them."""
     relabeler = plugins.load("relabelers", domain.relabeler)(domain)
-    # Row 0 of an episode is its reset, which no action led to.
-    states = np.concatenate([episode[1:] for episode in flat.split("infos/physics")])
-    actions, columns = flat.arrays["actions"], [domain.tasks.index(task) for task in tasks if task in domain.tasks]
-    observations = None if custom is None else np.concatenate([episode[1:] for episode in flat.split("observations")])
-    parts = []
-    with bars([("rewards", len(states))], "states") as (advance,):
-        for start in range(0, len(states), relabeler.rows):
-            rows = slice(start, start + relabeler.rows)
-            if custom is None or observations is None:
-                parts.append(relabeler.rewards(states[rows], actions[rows])[:, columns])
+    columns = [domain.tasks.index(task) for task in tasks if task in domain.tasks]
+    names = ("infos/physics", "actions", *(() if custom is None else ("observations",)))
+    found = []
+    with bars([("rewards", base.steps)], "states") as (advance,):
+        for episode in read_episodes(base_id, names):
+            # Row 0 of an episode is its reset, which no action led to.
+            states, actions = episode["infos/physics"][1:], episode["actions"]
+            if custom is None:
+                rewards = relabeler.rewards(states, actions)[:, columns]
             else:
-                quantities = relabeler.quantities(states[rows], actions[rows])
-                parts.append(custom(Measured(domain, quantities, states[rows], actions[rows], observations[rows]))[:, None])
-            advance(len(parts[-1]))
-    return np.concatenate(parts)
+                quantities = relabeler.quantities(states, actions)
+                rewards = custom(Measured(domain, quantities, states, actions, episode["observations"][1:]))[:, None]
+            found.append(rewards.astype(np.float32))
+            advance(len(actions))
+    return found
 
 
 def _write(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -15,14 +14,9 @@ from cudc_bench.envs.simulator import PHYSICS, Float32, Float64, MujocoSimulator
 class Relabeler(ABC):
     """Computes a domain's physical quantities, and from them its rewards, from stored states.
 
-    Class attributes:
-        rows: states between two updates of the progress bar, about a second's work or less.
-
     Args:
         domain: whose states.
     """
-
-    rows: ClassVar[int] = 20_000
 
     def __init__(self, domain: Domain) -> None:
         self.domain = domain

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from cudc_bench.envs import Domain, make_simulators
@@ -19,8 +17,6 @@ class SuiteRelabeler(Relabeler):
     Slower than a domain's own relabeler, which computes only what rewards depend on; a trial has shown that the rewards are the live
     ones (see :func:`~cudc_bench.envs.suite.suite_domain`).
     """
-
-    rows: ClassVar[int] = 500
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)

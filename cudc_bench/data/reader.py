@@ -160,6 +160,32 @@ def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int) -> Itera
             yield {name: read_field(group, name) for name in names}
 
 
+def read_episodes(dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None) -> Iterator[dict[str, Array]]:
+    """Some fields of a dataset, one episode in memory after the other.
+
+    Args:
+        dataset_id: which dataset.
+        names: of the fields.
+        root: Minari's root unless given.
+
+    Raises:
+        UsageError: no such dataset, or not one of ours.
+        RunError: as for :func:`load_episodes`.
+    """
+    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
+    manifest = read_manifest(checked, root)
+    check_base(manifest, checked, root)
+    path = dataset_path(checked, root) / "data" / MAIN_FILE
+    try:
+        for index, episode in enumerate(iterate_episodes(path, names, manifest.episodes)):
+            steps = {len(array) - has_reset_row(name) for name, array in episode.items()}
+            if len(steps) != 1:
+                raise KeyError(f"episode_{index} has fields of different lengths")
+            yield episode
+    except (OSError, KeyError) as error:
+        raise _unreadable(checked, path, error) from None
+
+
 def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = None) -> None:
     """Check that the dataset which a linked one takes its arrays from is there and is the same one.
 
@@ -216,17 +242,11 @@ def verify_fingerprint(dataset_id: DatasetId | str, root: Path | None = None) ->
     Raises:
         RunError: they differ; the message names the fields.
     """
-    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
-    manifest = read_manifest(checked, root)
-    check_base(manifest, checked, root)
+    manifest = read_manifest(dataset_id, root)
     hasher = FieldHasher()
-    path = dataset_path(checked, root) / "data" / MAIN_FILE
-    try:
-        for episode in iterate_episodes(path, tuple(manifest.fields), manifest.episodes):
-            for name, array in episode.items():
-                hasher.update(name, array)
-    except (OSError, KeyError) as error:
-        raise _unreadable(checked, path, error) from None
+    for episode in read_episodes(dataset_id, tuple(manifest.fields), root):
+        for name, array in episode.items():
+            hasher.update(name, array)
     found = hasher.digests()
     changed = [name for name, digest in found.items() if digest != manifest.fields[name]]
     if changed or fingerprint(found) != manifest.fingerprint:
