@@ -6,9 +6,9 @@ returns N rewards::
     def hop(measured):  # walker/hop/cudc-v0
         return (measured["torso_height"] > 1.3) * measured["torso_upright"]
 
-Each step is to be treated by itself: N is an episode here, one step there. It sees the domain's own physical quantities (each (N,), listed by ``cudc-bench list``), and ``physics`` (N, P), ``action`` (N, A) and
-``observation`` (N, S): the state and observation that the action led to. The same function labels datasets, gives the live reward in
-Gymnasium, and scores policies.
+Each step is to be treated by itself: N is an episode here, one step there. The function sees the domain's own physical quantities (each
+(N,), listed by ``cudc-bench list``), and ``physics`` (N, P), ``action`` (N, A) and ``observation`` (N, S): the state and observation that
+the action led to. The same function labels datasets, gives the live reward in Gymnasium, and scores policies.
 """
 
 from __future__ import annotations

@@ -1,0 +1,89 @@
+"""APS: entropy of states, and successor features of a task vector (Liu and Abbeel 2021, arXiv 2108.13956)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch.nn.functional as F
+from torch import Tensor
+
+from cudc_bench.config import NonNegativeFloat, PositiveInt
+from cudc_bench.moments import RunningMoments
+from cudc_bench.neighbours import neighbour_distances, normalised_entropy_reward
+from cudc_bench.networks import MemberRandom, SharedTrunkCritic, Trained, mlp
+from cudc_bench.replay import Batch
+
+from .ddpg import DDPG, DDPGConfig
+from .diayn import skill_of
+
+
+@dataclass(frozen=True)
+class APSConfig(DDPGConfig):
+    """URLB's values.
+
+    Attributes:
+        task_dim: size of the task vector and of the features.
+        skill_every: environment steps that a task vector lasts.
+        neighbours: of the entropy term.
+        knn_exclude_self: leave a point out of its own neighbours (URLB counts it, at distance 0).
+        distance_floor: subtracted from the normalised distances, which are then cut off at 0.
+    """
+
+    task_dim: PositiveInt = 10
+    skill_every: PositiveInt = 5
+    neighbours: PositiveInt = 12
+    knn_exclude_self: bool = False
+    distance_floor: NonNegativeFloat = 1e-4
+
+
+class APS(DDPG):
+    """Rewards rare states and states whose features point along the task vector w.
+
+    The critics give successor features: Q_j(s, w, a) = w · ψ_j(s, w, a), learned by temporal differences of the scalar Q, as in URLB.
+    The entropy is of un-normalised features, the task term of normalised ones.
+    """
+
+    config_class: ClassVar[type] = APSConfig
+    family = "competence and entropy"
+    citation = "Liu and Abbeel 2021"
+
+    @property
+    def skill_size(self) -> int:
+        return int(self.config.task_dim)
+
+    @property
+    def skill_steps(self) -> int:
+        return int(self.config.skill_every)
+
+    @property
+    def critic_outputs(self) -> int:
+        return int(self.config.task_dim)
+
+    def draw_skills(self, random: MemberRandom) -> Tensor:
+        return F.normalize(random.normal(self.config.task_dim), dim=-1)
+
+    def build(self, random: MemberRandom) -> list[Trained]:
+        config = self.config
+        if config.neighbours + config.knn_exclude_self > config.batch_size:
+            raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
+        self.features = mlp(random, self.space.observation, config.width, config.width, config.task_dim)
+        self.moments = RunningMoments(random.count, self.device)
+        return [self.features]
+
+    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        aligned = (skill_of(batch) * F.normalize(self.features(batch.next_observation), dim=-1)).sum(-1)
+        loss = -aligned.mean(1)
+        return loss, {"loss_alignment": loss.detach()}
+
+    def reward(self, batch: Batch) -> Tensor:
+        config, features = self.config, self.features(batch.next_observation)
+        distances = neighbour_distances(features, config.neighbours, config.knn_exclude_self)
+        self.moments.add(distances)
+        entropy = normalised_entropy_reward(distances, self.moments.mean, config.distance_floor)
+        return entropy + (skill_of(batch) * F.normalize(features, dim=-1)).sum(-1)
+
+    def value(self, critic: SharedTrunkCritic, observation: Tensor, skill: Tensor | None, action: Tensor) -> Tensor:
+        assert skill is not None
+        successor = critic(self.with_skill(observation, skill), action)
+        return (successor * skill[:, :, None]).sum(-1)

@@ -1,0 +1,83 @@
+"""DIAYN: skills that can be told apart by the states they visit (Eysenbach, Gupta, Ibarz, Levine 2018, arXiv 1802.06070)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor
+
+from cudc_bench.config import NonNegativeInt
+from cudc_bench.networks import MemberRandom, Trained, mlp
+from cudc_bench.replay import Batch
+
+from .ddpg import DDPG, DDPGConfig
+
+
+@dataclass(frozen=True)
+class DIAYNConfig(DDPGConfig):
+    """URLB's values.
+
+    Attributes:
+        skills: how many.
+        skill_every: environment steps that a skill lasts, at most until the end of the episode; 0 for whole episodes.
+    """
+
+    skills: Annotated[int, Field(ge=2, le=10_000)] = 16
+    skill_every: NonNegativeInt = 50
+
+
+class DIAYN(DDPG):
+    """Rewards states from which a discriminator recognises the skill: log q(z|s') - log p(z), with p uniform.
+
+    As in URLB and unlike Eysenbach et al.: DDPG instead of a maximum-entropy policy, and skills that change within an episode.
+    """
+
+    config_class: ClassVar[type] = DIAYNConfig
+    family = "competence"
+    citation = "Eysenbach et al. 2018"
+
+    @property
+    def skill_size(self) -> int:
+        return int(self.config.skills)
+
+    @property
+    def skill_steps(self) -> int:
+        return int(self.config.skill_every)
+
+    def draw_skills(self, random: MemberRandom) -> Tensor:
+        return draw_one_hot(random, self.config.skills)
+
+    def build(self, random: MemberRandom) -> list[Trained]:
+        width = self.config.width
+        self.discriminator = mlp(random, self.space.observation, width, width, self.config.skills)
+        return [self.discriminator]
+
+    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        logits, skill = self.discriminator(batch.next_observation), skill_of(batch)
+        loss = skill_cross_entropy(logits, skill).mean(1)
+        right = (logits.argmax(-1) == skill.argmax(-1)).float().mean(1)
+        return loss, {"loss_discriminator": loss.detach(), "accuracy": right}
+
+    def reward(self, batch: Batch) -> Tensor:
+        logits = self.discriminator(batch.next_observation)
+        return math.log(self.config.skills) - skill_cross_entropy(logits, skill_of(batch))
+
+
+def draw_one_hot(random: MemberRandom, skills: int) -> Tensor:
+    """One of some skills for each member, all equally likely, as one-hot codes (E, skills)."""
+    return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
+
+
+def skill_of(batch: Batch) -> Tensor:
+    """The skills (E, B, K) of a minibatch of a method with skills."""
+    assert batch.skill is not None
+    return batch.skill
+
+
+def skill_cross_entropy(logits: Tensor, skill: Tensor) -> Tensor:
+    """-log q(z|s) (E, B) of one-hot skills (E, B, K)."""
+    return -(logits.log_softmax(-1) * skill).sum(-1)

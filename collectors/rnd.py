@@ -1,0 +1,68 @@
+"""RND: novelty as the error against a frozen random network (Burda, Edwards, Storkey, Klimov 2018, arXiv 1810.12894)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor
+
+from cudc_bench.config import PositiveFloat, PositiveInt
+from cudc_bench.moments import RunningMoments
+from cudc_bench.networks import MemberRandom, Trained, mlp
+from cudc_bench.replay import Batch
+
+from .ddpg import DDPG, DDPGConfig
+
+_EPSILON = 1e-5  # of PyTorch's batch normalisation
+
+
+@dataclass(frozen=True)
+class RNDConfig(DDPGConfig):
+    """URLB's values.
+
+    Attributes:
+        feature_dim: outputs of the two networks.
+        observation_clip: bound of the normalised observations.
+        reward_scale: of the normalised error.
+    """
+
+    feature_dim: PositiveInt = 512
+    observation_clip: PositiveFloat = 5.0
+    reward_scale: PositiveFloat = 1.0
+
+
+class RND(DDPG):
+    """Rewards states on which a trained network does not yet agree with a frozen one.
+
+    As in URLB and unlike Burda et al.: the current state instead of the next one, observations normalised by the minibatch instead of
+    by running statistics, and no separate value function for the intrinsic reward.
+    """
+
+    config_class: ClassVar[type] = RNDConfig
+    family = "novelty"
+    citation = "Burda et al. 2018"
+
+    def build(self, random: MemberRandom) -> list[Trained]:
+        sizes = (self.space.observation, self.config.width, self.config.width, self.config.feature_dim)
+        self.predictor = mlp(random, *sizes)
+        self.random_network = mlp(random, *sizes).requires_grad_(False)
+        self.moments = RunningMoments(random.count, self.device)
+        return [self.predictor]
+
+    def error(self, batch: Batch) -> Tensor:
+        """Mean squared error (E, B) over the features, for the current states."""
+        observation = batch.observation
+        variance, mean = observation.var(1, keepdim=True, unbiased=False), observation.mean(1, keepdim=True)
+        clip = self.config.observation_clip
+        normalised = ((observation - mean) / (variance + _EPSILON).sqrt()).clamp(-clip, clip)
+        return (self.random_network(normalised) - self.predictor(normalised)).square().mean(-1)
+
+    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        loss = self.error(batch).mean(1)
+        return loss, {"loss_prediction": loss.detach()}
+
+    def reward(self, batch: Batch) -> Tensor:
+        error = self.error(batch)
+        self.moments.add(error)
+        return self.config.reward_scale * error / (self.moments.variance.sqrt() + 1e-8)[:, None]

@@ -1,0 +1,98 @@
+"""SMM: state marginal matching (Lee, Eysenbach, Parisotto, Xing, Levine, Salakhutdinov 2019, arXiv 1906.05274)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from cudc_bench.config import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.networks import MemberRandom, Trained, mlp
+from cudc_bench.replay import Batch
+
+from .ddpg import DDPG, DDPGConfig
+from .diayn import draw_one_hot, skill_cross_entropy, skill_of
+
+
+@dataclass(frozen=True)
+class SMMConfig(DDPGConfig):
+    """URLB's values.
+
+    Attributes:
+        skills: how many.
+        skill_every: environment steps that a skill lasts; 0 for whole episodes, as in the paper.
+        vae_hidden: hidden width of the density model. latent_dim: its latent size.
+        vae_learning_rate, discriminator_learning_rate: of these two.
+        kl_weight: of the density model's prior term.
+        novelty_weight, latent_weight, discriminator_weight: of the reward's three terms.
+    """
+
+    skills: PositiveInt = 4
+    skill_every: NonNegativeInt = 0
+    vae_hidden: PositiveInt = 150
+    latent_dim: PositiveInt = 128
+    vae_learning_rate: PositiveFloat = 1e-2
+    discriminator_learning_rate: PositiveFloat = 1e-3
+    kl_weight: NonNegativeFloat = 0.5
+    novelty_weight: NonNegativeFloat = 1.0
+    latent_weight: NonNegativeFloat = 1.0
+    discriminator_weight: float = 1.0
+
+
+class SMM(DDPG):
+    """Rewards states of low density under the own skill's past, by the reconstruction error of a variational autoencoder.
+
+    r = ‖(s, z) - reconstruction‖² + log K - log q(z|s). The last term has URLB's sign: Lee et al. reward skills that can be recognised
+    (+ log q), the reference code the opposite; ``discriminator_weight=-1`` gives the paper's. Skills last for an episode as in the
+    paper; in URLB a flag is inverted, and its search for a skill runs during exploration. The target distribution is uniform.
+    """
+
+    config_class: ClassVar[type] = SMMConfig
+    family = "density"
+    citation = "Lee et al. 2019"
+
+    @property
+    def skill_size(self) -> int:
+        return int(self.config.skills)
+
+    @property
+    def skill_steps(self) -> int:
+        return int(self.config.skill_every)
+
+    def draw_skills(self, random: MemberRandom) -> Tensor:
+        return draw_one_hot(random, self.config.skills)
+
+    def build(self, random: MemberRandom) -> list[Trained]:
+        config = self.config
+        inputs, hidden = self.space.observation + config.skills, config.vae_hidden
+        self.encoder = mlp(random, inputs, hidden, hidden, 2 * config.latent_dim)
+        self.decoder = mlp(random, config.latent_dim, hidden, hidden, inputs)
+        self.discriminator = mlp(random, self.space.observation, config.width, config.width, config.skills)
+        rate = config.vae_learning_rate
+        return [(self.encoder, rate), (self.decoder, rate), (self.discriminator, config.discriminator_learning_rate)]
+
+    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        skill = skill_of(batch)
+        seen = torch.cat([batch.observation, skill], dim=-1)
+        mean, log_variance = self.encoder(seen).chunk(2, dim=-1)
+        noise = self._noise_random.normal(*mean.shape[1:])
+        squared = (seen - self.decoder(mean + (0.5 * log_variance).exp() * noise)).square()
+        divergence = 0.5 * (log_variance.exp() + mean.square() - 1.0 - log_variance).sum(-1)
+        unrecognised = skill_cross_entropy(self.discriminator(batch.observation), skill)
+        # The reward is that of this forward pass, before its step, as in URLB.
+        batch.kept = {"novelty": squared.detach().sum(-1), "unrecognised": unrecognised.detach()}
+        losses = {
+            "loss_reconstruction": squared.mean((1, 2)),
+            "loss_divergence": self.config.kl_weight * divergence.mean(1),
+            "loss_discriminator": unrecognised.mean(1),
+        }
+        total = losses["loss_reconstruction"] + losses["loss_divergence"] + losses["loss_discriminator"]
+        return total, {name: loss.detach() for name, loss in losses.items()}
+
+    def reward(self, batch: Batch) -> Tensor:
+        config, kept = self.config, batch.kept
+        constant = config.latent_weight * math.log(config.skills)
+        return config.novelty_weight * kept["novelty"] + constant + config.discriminator_weight * kept["unrecognised"]

@@ -1,0 +1,40 @@
+"""Running mean and variance of a stream of numbers, one for each member."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class RunningMoments(nn.Module):
+    """Mean and variance of all numbers seen, merged batch by batch (Chan, Golub, LeVeque 1979).
+
+    They start as mean 0 and variance 1 with a weight of 1e-4, as in URLB.
+
+    Attributes:
+        mean: (E,).
+        variance: (E,), of the population.
+        weight: how many numbers were seen, and the prior's weight.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    weight: Tensor
+
+    def __init__(self, members: int, device: torch.device | str) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(members, device=device))
+        self.register_buffer("variance", torch.ones(members, device=device))
+        self.register_buffer("weight", torch.full((), 1e-4, dtype=torch.float64, device=device))
+
+    @torch.no_grad()
+    def add(self, values: Tensor) -> None:
+        """Take in a batch (E, …) of numbers."""
+        values = values.flatten(1)
+        count = values.shape[1]
+        variance, mean = torch.var_mean(values, dim=1, unbiased=False)
+        share = (count / (self.weight + count)).float()
+        difference = mean - self.mean
+        self.variance += share * (variance - self.variance) + share * (1.0 - share) * difference.square()
+        self.mean += share * difference
+        self.weight += count
