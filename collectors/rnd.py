@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from cudc_bench.config import PositiveFloat, PositiveInt
@@ -52,11 +53,13 @@ class RND(DDPG):
 
     def error(self, batch: Batch) -> Tensor:
         """Mean squared error (E, B) over the features, for the current states."""
-        observation = batch.observation
-        variance, mean = observation.var(1, keepdim=True, unbiased=False), observation.mean(1, keepdim=True)
-        clip = self.config.observation_clip
-        normalised = ((observation - mean) / (variance + _EPSILON).sqrt()).clamp(-clip, clip)
-        return (self.random_network(normalised) - self.predictor(normalised)).square().mean(-1)
+        if "target" not in batch.kept:
+            observation = batch.observation
+            variance, mean = torch.var_mean(observation, dim=1, keepdim=True, unbiased=False)
+            clip = self.config.observation_clip
+            normalised = ((observation - mean) / (variance + _EPSILON).sqrt()).clamp(-clip, clip)
+            batch.kept = {"normalised": normalised, "target": self.random_network(normalised)}
+        return (batch.kept["target"] - self.predictor(batch.kept["normalised"])).square().mean(-1)
 
     def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         loss = self.error(batch).mean(1)

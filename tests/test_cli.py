@@ -26,7 +26,8 @@ COMMANDS = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "ve
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.
 REFUSALS = {
-    "collect --method cudk": "unknown method 'cudk'; allowed: aps, apt, be, cic, cudc, diayn, disagreement, icm, proto, random, rnd, smm. Did you mean 'cudc'?",
+    "collect --method cudk": "unknown method 'cudk'; allowed: aps, apt, be, cic, cudc, ",
+    "collect --method cudx": ". Did you mean 'cudc'?",
     "collect --method": "'--method' requires an argument",
     "collect --method ,": "--method is empty",
     "collect --domain wlaker --method random": "allowed: dm_control/<domain>-<task>, jaco, quadruped, walker. Did you mean 'walker'?",
