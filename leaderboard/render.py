@@ -46,8 +46,14 @@ def to_csv(table: Table) -> str:
     return text.getvalue()
 
 
+_SIDE_BY_SIDE = 6
+
+
 def to_rich(table: Table) -> Group:
-    """For a terminal: title, table and caption; ``rich`` objects throughout, so that nothing in a record is taken for markup."""
+    """For a terminal: title, table and caption; ``rich`` objects throughout, so that nothing in a record is taken for markup.
+
+    Tasks are the rows as in the files, but methods are where there are too many of them to stand side by side in 80 columns.
+    """
     from rich import box
     from rich.console import Group
     from rich.table import Table as Grid
@@ -55,13 +61,14 @@ def to_rich(table: Table) -> Group:
 
     shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
     shown.add_column("")
-    for method in table.methods:
-        shown.add_column(Text(method), justify="right")
+    turned = len(table.methods) > _SIDE_BY_SIDE
+    for name in table.tasks if turned else table.methods:
+        shown.add_column(Text(name), justify="right")
     for section in table.sections:
         shown.add_row(Text(f"{short(section.milestone)} steps", style="bold"))
-        for row in section.rows:
-            cells = [Text(_text(cell), style="bold" if cell and cell.best else "") for cell in row.cells]
-            shown.add_row(Text(row.task), *cells)
+        cells = [[Text(_text(cell), style="bold" if cell and cell.best else "") for cell in row.cells] for row in section.rows]
+        for name, line in zip(table.methods if turned else table.tasks, zip(*cells, strict=True) if turned else cells, strict=True):
+            shown.add_row(Text(name), *line)
         shown.add_section()
     title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
     return Group(title, shown, Text(table.caption, style="dim"))

@@ -111,7 +111,7 @@ class Table:
         imported = any(record.dataset.source for record in self.records)
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
-            f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets, the best mean of a row is bold."
+            f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets, the best mean of a task is bold."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (" Preliminary: fewer than five seeds." if preliminary else "")

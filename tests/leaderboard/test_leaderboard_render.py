@@ -92,6 +92,20 @@ def test_terminal_bold_is_the_best(table):
     assert cells["42 (1)"] == ""
 
 
+def test_many_methods_are_the_terminals_rows(make_record):
+    methods = [f"method_{letter}" for letter in "abcdefg"]
+    records = [make_record(method=method, task=task) for method in methods for task in ("walk", "run")]
+    (table,), _ = build_tables(records)
+    text = shown(table, width=80)
+    assert "…" not in text
+    lines = text.splitlines()
+    assert lines[1].split() == ["stand", "walk", "run", "flip"]
+    by_name = {line.split()[0]: line for line in lines if line.startswith("method_")}
+    assert list(by_name) == methods
+    cells = {method: row.cells[index] for row in table.sections[-1].rows if row.task == "walk" for index, method in enumerate(methods)}
+    assert all(f"{round(cells[method].mean)} ({cells[method].n})" in line for method, line in by_name.items())
+
+
 def test_csv_round_trip(table):
     frame = pd.read_csv(io.StringIO(to_csv(table)))
     assert len(frame) == 2 * 4 * 3
