@@ -20,11 +20,12 @@ from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, check_free, fingerprint
-from cudc_bench.options import check_folder, check_seeds, format_seeds
+from cudc_bench.options import LOG_DIR, check_folder, check_seeds, format_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
 from cudc_bench.provenance import command_line, stamp
+from cudc_bench.runlog import LogTarget, RunLog, check_log, open_log
 
 from .base import Space
 from .loop import CollectConfig, run_collection
@@ -41,6 +42,8 @@ def collect(
     overwrite: bool = False,
     device: str = "auto",
     workers: int | None = 1,
+    log: str | None = None,
+    log_dir: str | Path = LOG_DIR,
     check_only: bool = False,
 ) -> list[str]:
     """Explore a domain without rewards and write one Minari dataset for each seed.
@@ -55,6 +58,8 @@ def collect(
         overwrite: replace datasets that exist.
         device: ``cpu``, ``cuda`` or ``auto``.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
+        log: also send the lines of diagnostics to ``"tensorboard"`` or ``"wandb"`` while they are measured.
+        log_dir: the folder of these logs; a run's own is ``collect/<profile>/<dataset id>`` in it.
         check_only: stop before the work starts; wrong input has been refused by then.
 
     Returns:
@@ -79,6 +84,7 @@ def collect(
     for one in ids:
         check_free(one, overwrite)
     check_folder(datasets_root(), "the dataset root")
+    logs = check_log(log, log_dir)
     device = resolve_device(device)
     # Building once here finds settings that do not fit each other before any process starts.
     space = _space(domain, loop)
@@ -99,6 +105,11 @@ def collect(
         same = [name for name, values in kind.domain_values.items() if as_dict(build(kind.config_class, values)) == plain]
         say(f"{method} has no values of its own for {domain}; it takes {'those for ' + same[0] if same else 'its defaults'}")
     say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {loop.steps:,} steps each, {device}")
+    values = as_dict(loop, config)
+    targets = [
+        None if log is None else LogTarget(log, logs, "collect", chosen.name, domain, str(one), f"{method}-seed{seed}", values)
+        for seed, one in zip(seeds, ids, strict=True)
+    ]
     jobs = [
         Job(
             description=f"{method} seed {format_seeds([seeds[i] for i in group])}",
@@ -106,6 +117,7 @@ def collect(
             arguments={
                 "method": method, "domain": domain, "seeds": [seeds[i] for i in group], "ids": [ids[i] for i in group],
                 "profile": chosen.name, "loop": loop, "config": config, "overrides": overrides, "device": device,
+                "targets": [targets[i] for i in group],
             },
         )
         for group in groups
@@ -118,7 +130,7 @@ def collect(
 
 def collect_members(
     advance: Advance, *, method: str, domain: str, seeds: list[int], ids: list[DatasetId], profile: str,
-    loop: CollectConfig, config: Any, overrides: dict[str, Any], device: str,
+    loop: CollectConfig, config: Any, overrides: dict[str, Any], device: str, targets: list[LogTarget | None],
 ) -> None:  # fmt: skip
     """Collect some members in this process and publish their datasets (the job of :func:`collect`)."""
     started = time.monotonic()
@@ -127,7 +139,7 @@ def collect_members(
     values = as_dict(loop, config)
     with ExitStack() as stack:
         folders = [stack.enter_context(staging(one)) for one in ids]
-        sinks = [_Sink(folder) for folder in folders]
+        sinks = [_Sink(folder, stack.enter_context(open_log(target))) for folder, target in zip(folders, targets, strict=True)]
         run_collection(collector, loop, check_domain(domain), list(sinks), advance)
         summaries = collector.summary()
         for seed, one, folder, sink, summary in zip(seeds, ids, folders, sinks, summaries, strict=True):
@@ -147,7 +159,7 @@ def collect_members(
                 fingerprint=fingerprint(written.fields),
                 diagnostics=sink.last | summary,
                 command=_command(method, domain, seed, profile, overrides, one),
-                **stamp(started, device, torch.get_num_threads()),
+                **stamp(started, device, torch.get_num_threads(), plugins.package("collectors", method)),
             )
             write_metadata(folder / "data", manifest, str(one), _description(check_domain(domain), method))
             sink.close()
@@ -176,9 +188,10 @@ def _command(method: str, domain: str, seed: int, profile: str, overrides: Mappi
 class _Sink:
     """Puts what one member collects into its staging folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, log: RunLog) -> None:
         self.shards = EpisodeShards(folder / "shards")
         self.last: dict[str, Any] = {}
+        self._log = log
         self._diagnostics = (folder / "diagnostics.jsonl").open("w", encoding="utf-8")
 
     def add_episode(self, seed: int, observations: Float32, actions: Float32, infos: dict[str, Float32 | Float64]) -> None:
@@ -187,6 +200,7 @@ class _Sink:
     def add_diagnostics(self, row: dict[str, Any]) -> None:
         self.last = row
         self._diagnostics.write(json.dumps(row) + "\n")
+        self._log.add(row["step"], {name: value for name, value in row.items() if name != "step"})
 
     def close(self) -> None:
         """Close the diagnostics and remove the shards."""

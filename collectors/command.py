@@ -9,9 +9,12 @@ import typer
 
 from cudc_bench.errors import UsageError
 from cudc_bench.options import (
+    LOG_DIR,
     DatasetIdOption,
     DeviceOption,
     DomainOption,
+    LogDirOption,
+    LogOption,
     MethodOption,
     OverwriteOption,
     ProfileOption,
@@ -34,6 +37,8 @@ def collect(
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
+    log: LogOption = None,
+    log_dir: LogDirOption = LOG_DIR,
 ) -> None:
     """Explore a domain without rewards and write Minari datasets."""
     from cudc_bench import plugins
@@ -56,7 +61,7 @@ def collect(
             for name in methods
             for one in run(
                 name, domain, parse_seeds(seeds), profile=profile, settings=parse_settings(settings or []), dataset_id=dataset_id,
-                overwrite=overwrite, device=device, workers=workers, check_only=check_only,
+                overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir, check_only=check_only,
             )
         ]  # fmt: skip
     for one in ids:

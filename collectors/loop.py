@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from cudc_bench.config import NonNegativeInt, PositiveInt
+from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.metrics import member_rows
@@ -29,7 +31,8 @@ class CollectConfig:
         steps: environment steps, all of which form the dataset.
         seed_steps: steps of uniformly random actions before the first update.
         update_every: environment steps for each update.
-        measure_every: updates between two lines of diagnostics.
+        measure_every: updates between two lines of diagnostics, which is ``measure_every * update_every`` environment steps, whether the
+            method learns or not.
     """
 
     steps: PositiveInt = 1_000_000
@@ -49,11 +52,15 @@ class Sink(Protocol):
         """
 
     def add_diagnostics(self, row: dict[str, Any]) -> None:
-        """One line of diagnostics."""
+        """One line of diagnostics: ``step``, ``updates``, ``steps_per_second`` since the line before, the coverage of the domain's
+        descriptors so far (see ``cudc_bench.descriptors``) where it has some, and what the last update since then measured of itself.
+        """
 
 
 def run_collection(collector: Collector, config: CollectConfig, domain: Domain, sinks: list[Sink], advance: Callable[[int], None]) -> None:
     """Collect ``config.steps`` steps for every member. The environment's reward is never even computed.
+
+    Physical quantities are read for the coverage of diagnostics alone; no collector sees them.
 
     Args:
         collector: E members.
@@ -81,6 +88,11 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
     physics = np.empty((members, length + 1, domain.physics_size), np.float64)
     skills = np.empty((members, length + 1, collector.skill_size), np.float32)
     updates, reset_seeds = 0, [0] * members
+    # Of the episode's states that actions led to; those from ``counted`` on are not in ``visits`` yet.
+    quantities = np.empty((members, length, len(domain.quantities)), np.float64)
+    visits = [Visits(domain) for _ in simulators] if domain.descriptors else []
+    counted, metrics = 0, dict[str, torch.Tensor]()
+    every, last_row, last_time = config.measure_every * config.update_every, 0, time.perf_counter()
 
     for step in range(config.steps):
         t = step % length
@@ -101,6 +113,8 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
             simulator.step(actions[member, t])
             simulator.observe(observations[member, t + 1])
             simulator.state(physics[member, t + 1])
+            if visits:
+                simulator.quantities(quantities[member, t])
         done = step + 1 == config.steps
         if t + 1 == length or done:
             for member, sink in enumerate(sinks):
@@ -113,12 +127,23 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
                     replay.add(member, torch.from_numpy(o), torch.from_numpy(a), torch.from_numpy(skills[member, :length]))
         due = step >= config.seed_steps and step % config.update_every == 0
         if due and replay is not None and replay.episodes():
-            measure = updates % config.measure_every == 0 or step + config.update_every >= config.steps
+            # The last update before a line.
+            measure = (step + config.update_every) % every == 0 or step + config.update_every >= config.steps
             batch = replay.sample(collector.config.batch_size, collector.horizon, measure)
             metrics = collector.update(batch)
             updates += 1
-            if measure:
-                for sink, row in zip(sinks, member_rows(metrics, step + 1), strict=True):
-                    sink.add_diagnostics({"step": step + 1, "updates": updates} | row)
+        row_due = (step + 1) % every == 0 or done
+        if visits and (row_due or t + 1 == length):
+            for member, counts in enumerate(visits):
+                counts.add(quantities[member, counted : t + 1])
+            counted = (t + 1) % length
+        if row_due:
+            now = time.perf_counter()
+            rate = (step + 1 - last_row) / max(now - last_time, 1e-9)
+            measured = member_rows(metrics, step + 1) if metrics else [{}] * members
+            for member, (sink, row) in enumerate(zip(sinks, measured, strict=True)):
+                covered = visits[member].coverage.as_row() if visits else {}
+                sink.add_diagnostics({"step": step + 1, "updates": updates, "steps_per_second": rate} | covered | row)
+            last_row, last_time, metrics = step + 1, now, {}
         if t % 200 == 199 or done:
             advance(200 if t % 200 == 199 else (t + 1) % 200)

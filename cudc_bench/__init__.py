@@ -15,13 +15,17 @@ from typing import Any as _Any
 if _TYPE_CHECKING:
     from cudc_bench.data.reader import Transitions as Transitions
     from cudc_bench.data.reader import load_transitions as load_transitions
+    from cudc_bench.descriptors import DescriptorCoverage as DescriptorCoverage
+    from cudc_bench.descriptors import coverage as coverage
     from cudc_bench.verification import Verification as Verification
     from cudc_bench.verification import verify as verify
 
 __all__ = [
+    "DescriptorCoverage",
     "Transitions",
     "Verification",
     "collect",
+    "coverage",
     "evaluate",
     "import_exorl",
     "load_transitions",
@@ -42,6 +46,10 @@ def __getattr__(name: str) -> _Any:
         from cudc_bench.data import reader
 
         found = getattr(reader, name)
+    elif name in {"DescriptorCoverage", "coverage"}:
+        from cudc_bench import descriptors
+
+        found = getattr(descriptors, name)
     elif name in {"Verification", "verify"}:
         from cudc_bench import verification
 

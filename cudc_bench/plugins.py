@@ -23,8 +23,20 @@ _SINGULAR = {
 
 
 @cache
-def _points(kind: str) -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=f"cudc_bench.{kind}")}
+def _points(kind: str) -> dict[str, list[EntryPoint]]:
+    found: dict[str, list[EntryPoint]] = {}
+    for point in entry_points(group=f"cudc_bench.{kind}"):
+        found.setdefault(point.name, []).append(point)
+    return found
+
+
+def _point(kind: str, name: str) -> EntryPoint:
+    points = _points(kind)[check_name(kind, name)]
+    if len(points) > 1:
+        # Whichever were taken, somebody's results would bear the name of another method.
+        rivals = ", ".join(sorted(f"{point.dist.name} ({point.value})" if point.dist else point.value for point in points))
+        raise RunError(f"the {_SINGULAR[kind]} '{name}' is registered by several installed packages: {rivals}. Uninstall all but one.")
+    return points[0]
 
 
 def names(kind: str) -> list[str]:
@@ -43,15 +55,25 @@ def check_name(kind: str, name: str) -> str:
     return name
 
 
+def package(kind: str, name: str) -> dict[str, str]:
+    """The distribution that registered a name, and its version, as {distribution: version}; nothing is imported.
+
+    Raises:
+        UsageError: no such name.
+        RunError: several packages registered it.
+    """
+    found = _point(kind, name).dist
+    return {} if found is None else {found.name: found.version}
+
+
 def load(kind: str, name: str) -> Any:
     """Import and return what is registered under a name.
 
     Raises:
         UsageError: no such name.
-        RunError: the plug-in is registered but cannot be imported.
+        RunError: the plug-in is registered but cannot be imported, or several packages registered it.
     """
-    check_name(kind, name)
-    point = _points(kind)[name]
+    point = _point(kind, name)
     try:
         return point.load()
     except (ImportError, AttributeError) as error:

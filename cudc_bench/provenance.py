@@ -75,16 +75,17 @@ def command_line(command: str, options: Mapping[str, str], overrides: Mapping[st
     return shlex.join([*words, *flags])
 
 
-def stamp(started: float, device: str = "cpu", threads: int = 1) -> dict[str, Any]:
+def stamp(started: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
     """The fields of a manifest that say what it was made with, on what and when, apart from the command.
 
     Args:
         started: ``time.monotonic()`` when the work began.
         device, threads: used for it.
+        packages: versions of others that the result depends on, such as the package of a plug-in.
     """
     head, dirty = commit()
     return {
-        "versions": versions(),
+        "versions": versions() | dict(packages or {}),
         "commit": head,
         "dirty": dirty,
         "machine": machine(device, threads),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from cudc_bench.errors import UsageError
 from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, read_manifest
 from cudc_bench.networks import MemberRandom
-from cudc_bench.options import check_folder, check_seeds
+from cudc_bench.options import LOG_DIR, check_folder, check_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
@@ -34,6 +35,7 @@ from cudc_bench.records import (
     write_record,
 )
 from cudc_bench.replay import Episodes
+from cudc_bench.runlog import LogTarget, check_log, open_log
 from cudc_bench.stages import check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
 
 from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
@@ -54,6 +56,8 @@ def evaluate(
     overwrite: bool = False,
     device: str = "auto",
     workers: int | None = 1,
+    log: str | None = None,
+    log_dir: str | Path = LOG_DIR,
 ) -> list[Path]:
     """Train an offline algorithm on relabelled datasets and write one record for each (method, seed, task).
 
@@ -74,6 +78,9 @@ def evaluate(
         overwrite: train again where a record exists.
         device: ``cpu``, ``cuda`` or ``auto``.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
+        log: also send training metrics and mean returns to ``"tensorboard"`` or ``"wandb"`` while they are measured. Datasets that are
+            collected on the way are not logged.
+        log_dir: the folder of these logs; a run's own in it is ``evaluate/`` and its record's place below ``output``, less ``.json``.
 
     Returns:
         The paths of all records, trained now or before.
@@ -92,6 +99,7 @@ def evaluate(
     overrides = changed(values, as_dict(*(build(one, chosen.evaluate) for one in (EvaluateConfig, kind.config_class))))
     results = check_folder(output, "the output")
     check_folder(datasets_root(), "the dataset root")
+    logs = check_log(log, log_dir)
     device = resolve_device(device)
     worker_count(workers, 1)
     # A dataset says itself what it is of.
@@ -117,6 +125,13 @@ def evaluate(
         f"evaluate {algo} on {facts.name}: profile {chosen.name}, {len(ids)} runs of {loop.gradient_steps:,} gradient steps, {device}"
         + (f"; {len(ids) - len(todo)} recorded before are kept" if len(todo) < len(ids) else "")
     )
+    targets = {
+        one: None if log is None else LogTarget(
+            log, logs, "evaluate", chosen.name, facts.name, str(paths[one].relative_to(results / chosen.name).with_suffix("")),
+            f"{manifests[one].task}-{manifests[one].method}-{algo}-seed{manifests[one].seed}", values,
+        )
+        for one in todo
+    }  # fmt: skip
     groups = [todo] if device == "cuda" and todo else [[one] for one in todo]
     jobs = [
         Job(
@@ -126,6 +141,7 @@ def evaluate(
                 "algo": algo, "ids": group, "paths": [paths[one] for one in group], "profile": chosen.name, "loop": loop,
                 "config": config, "overrides": overrides, "device": device,
                 "reward": None if custom is None else custom.reference,
+                "targets": [targets[one] for one in group],
             },
         )
         for group in groups
@@ -138,7 +154,7 @@ def evaluate(
 
 def evaluate_members(
     advance: Advance, *, algo: str, ids: list[str], paths: list[Path], profile: str, loop: EvaluateConfig, config: Any,
-    overrides: dict[str, Any], device: str, reward: str | None,
+    overrides: dict[str, Any], device: str, reward: str | None, targets: list[LogTarget | None],
 ) -> None:  # fmt: skip
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
     started = time.monotonic()
@@ -149,7 +165,9 @@ def evaluate_members(
     data = load_members(ids, seeds, device)
     tasks = [str(manifest.task) for manifest in manifests]
     arena = Arena(facts, tasks if reward is None else load_reward(reward, facts))
-    outcomes = run_evaluation(agent, data, loop, arena, advance)
+    with ExitStack() as stack:
+        logs = [stack.enter_context(open_log(target)) for target in targets]
+        outcomes = run_evaluation(agent, data, loop, arena, advance, logs)
     seconds = round(time.monotonic() - started, 1)
     for one, path, manifest, outcome in zip(ids, paths, manifests, outcomes, strict=True):
         write_record(path, _record(algo, one, manifest, outcome, profile, loop, config, overrides, device, seconds))

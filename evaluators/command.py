@@ -7,10 +7,13 @@ from typing import Annotated
 import typer
 
 from cudc_bench.options import (
+    LOG_DIR,
     AlgoOption,
     DatasetIdOption,
     DeviceOption,
     DomainOption,
+    LogDirOption,
+    LogOption,
     MethodOption,
     OverwriteOption,
     ProfileOption,
@@ -39,6 +42,8 @@ def evaluate(
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
+    log: LogOption = None,
+    log_dir: LogDirOption = LOG_DIR,
 ) -> None:
     """Train an offline algorithm on relabelled datasets and record its scores."""
     from cudc_bench.config import parse_settings
@@ -49,7 +54,7 @@ def evaluate(
     paths = run(
         algo, domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
         settings=parse_settings(settings or []), dataset_id=dataset_id, reward=reward, output=output, overwrite=overwrite, device=device,
-        workers=workers,
+        workers=workers, log=log, log_dir=log_dir,
     )  # fmt: skip
     for path in paths:
         print(path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
 from cudc_bench.metrics import member_rows
 from cudc_bench.replay import Episodes
+from cudc_bench.runlog import RunLog
 from cudc_bench.seeding import episode_seed
 
 from .base import Evaluator
@@ -99,7 +100,9 @@ class Arena:
         return total.reshape(members, episodes)
 
 
-def run_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None]) -> list[Outcome]:
+def run_evaluation(
+    agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None], logs: Sequence[RunLog] = ()
+) -> list[Outcome]:
     """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
 
     Args:
@@ -108,12 +111,17 @@ def run_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig, are
         config: how long and how often.
         arena: where the policies are tried.
         advance: told how many gradient steps have been done since it was last called.
+        logs: for each member or for none, take the training metrics and, as ``return_mean`` and ``final_return_mean``, the mean returns.
 
     Raises:
         RunError: training diverged (a metric is not finite).
     """
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
     outcomes = [Outcome([], [], []) for _ in agent.seeds]
+
+    def log(step: int, rows: Iterable[Mapping[str, float]]) -> None:
+        for one, row in zip(logs, rows, strict=False):
+            one.add(step, row)
 
     def episode_seeds(purpose: str, step: int, episodes: int) -> list[list[int]]:
         return [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds]
@@ -123,16 +131,20 @@ def run_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig, are
             found = arena.returns(agent, episode_seeds("evaluation", step, config.evaluation_episodes))
             for outcome, row in zip(outcomes, found, strict=True):
                 outcome.curve.append((step, row.tolist()))
+            log(step, ({"return_mean": float(row.mean())} for row in found))
         if step == config.gradient_steps:
             break
         measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
         metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure))
         if measure:
-            for outcome, row in zip(outcomes, member_rows(metrics, step + 1), strict=True):
-                outcome.metrics.append((step + 1, row))
+            rows = member_rows(metrics, step + 1)
+            for outcome, values in zip(outcomes, rows, strict=True):
+                outcome.metrics.append((step + 1, values))
+            log(step + 1, rows)
         if (step + 1) % 100 == 0 or step + 1 == config.gradient_steps:
             advance(100 if (step + 1) % 100 == 0 else (step + 1) % 100)
     found = arena.returns(agent, episode_seeds("final evaluation", config.gradient_steps, config.final_episodes))
     for outcome, row in zip(outcomes, found, strict=True):
         outcome.final.extend(row.tolist())
+    log(config.gradient_steps, ({"final_return_mean": float(row.mean())} for row in found))
     return outcomes

@@ -19,6 +19,9 @@ import cudc_bench
 # wait for each other on a busy core take many times as long as one thread alone.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Failures inside the battery then show the values that were compared, as those of any test module do.
+pytest.register_assert_rewrite("cudc_bench.collectors.contract")
+
 TASKS = ("stand", "walk", "run", "flip")
 
 # Time limits on a single example fail on a busy machine and prove nothing.
@@ -71,8 +74,8 @@ def environment(datasets: Path) -> dict[str, str]:
 def cli(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finished]:
     """Runs ``cudc-bench`` as a process in ``tmp_path``."""
 
-    def run(*arguments: str, env: Mapping[str, str] | None = None) -> Finished:
-        command = [sys.executable, "-m", "cudc_bench.cli", *arguments]
+    def run(*arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable) -> Finished:
+        command = [interpreter, "-m", "cudc_bench.cli", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=environment | dict(env or {}), capture_output=True, text=True, timeout=300)
         return Finished(done.returncode, done.stdout, done.stderr)
 

@@ -21,7 +21,7 @@ DATA = [path for path in CORE if path.parent.name == "data" or path.name in {"id
 METHODS = [
     path
     for path, stage in SOURCES.items()
-    if stage in {"collectors", "evaluators"} and path.stem not in {"api", "command", "exorl", "imports", "loop", "__init__"}
+    if stage in {"collectors", "evaluators"} and path.stem not in {"api", "command", "contract", "exorl", "imports", "loop", "__init__"}
 ]
 ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get
 

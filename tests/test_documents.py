@@ -6,10 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
-
-from cudc_bench.collectors.base import Space
-from tests.collectors.helpers import batch_for
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -20,7 +16,7 @@ def blocks(name, language="python"):
 
 
 def test_the_readmes_python_runs_as_a_program(tmp_path):
-    (code,) = blocks("README.md")
+    (code,) = [code for code in blocks("README.md") if "__main__" in code]
     program = tmp_path / "program.py"
     program.write_text(code)
     done = subprocess.run([sys.executable, program], cwd=tmp_path, capture_output=True, text=True, timeout=300)
@@ -29,26 +25,21 @@ def test_the_readmes_python_runs_as_a_program(tmp_path):
     assert len(list((tmp_path / "results").rglob("*.json"))) == 1
 
 
-def test_the_example_of_a_collector_learns():
-    (code,) = blocks("CONTRIBUTING.md")
-    names: dict = {"__name__": "example"}
-    exec(compile(code, "CONTRIBUTING.md", "exec"), names)
-    kind = names["Surprise"]
-    collector = kind(Space("walker", 24, 6, 1000, 4000, 2), kind.config_class(width=32, batch_size=64, learning_rate=1e-3), [1, 2])
-    batch = batch_for(collector, size=64, measure=True)
-    first = collector.update(batch)["loss_forward"]
-    for _ in range(100):
-        last = collector.update(batch)["loss_forward"]
-    # The surprise of what is seen again and again falls.
-    assert (last < 0.8 * first).all()
-    assert collector.act(torch.randn(2, 24)).shape == (2, 6)
+def test_the_readme_shows_the_example_package_as_it_is():
+    named = [code.split("\n", 1) for language in ("python", "toml") for code in blocks("README.md", language)]
+    shown = {first.removeprefix("# "): code for first, code in named if first.startswith("# examples/")}
+    assert set(shown) == {f"examples/plugin/{name}" for name in ("cudc_bench_re3.py", "pyproject.toml", "test_re3.py")}
+    for path, code in shown.items():
+        # Of the tests only the part that every package needs is shown.
+        whole = (ROOT / path).read_text()
+        assert code in whole if path.endswith("test_re3.py") else code == whole, path
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "benchmarks/README.md"])
 def test_links_and_paths_of_the_documents_exist(name):
     text = (ROOT / name).read_text()
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
-    paths = re.findall(r"`((?:cudc_bench|collectors|relabelers|evaluators|leaderboard|benchmarks|tests|docs)/[\w/.]*)`", text)
+    paths = re.findall(r"`((?:cudc_bench|collectors|relabelers|evaluators|leaderboard|benchmarks|tests|docs|examples)/[\w/.]*)`", text)
     assert links + paths
     missing = [link for link in links if not ((ROOT / name).parent / link).exists()] + [p for p in paths if not (ROOT / p).exists()]
     assert not missing

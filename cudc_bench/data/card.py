@@ -6,13 +6,14 @@ It is a function of the manifest and the arrays alone. Names and values in it ma
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
-from cudc_bench.envs.domains import domain_title
+from cudc_bench.envs.domains import Domain, domain_title
 from cudc_bench.manifest import Manifest
 from cudc_bench.markup import escape_markdown, plain, templates
 
@@ -54,6 +55,7 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
         sizes=sizes,
         rewards=rewards,
         coverage=coverage,
+        descriptors=_descriptors(manifest, facts),
         number=_number,
         neighbour=NEIGHBOUR,
         saturated=SATURATED,
@@ -79,6 +81,23 @@ def _facts(manifest: Manifest) -> list[tuple[str, str]]:
         "commit": f"{manifest.commit or ''}{' with local changes' if manifest.dirty else ''}",
     }
     return [(name, value) for name, value in rows.items() if value]
+
+
+def _descriptors(manifest: Manifest, domain: Domain) -> dict[str, Any] | None:
+    """What the collection measured of the domain's behaviour descriptors, where it did."""
+    cells, entropy = (manifest.diagnostics.get(name) for name in ("coverage_cells", "coverage_entropy"))
+    if not domain.descriptors or not isinstance(cells, int) or not isinstance(entropy, float):
+        return None
+    names = domain.quantities
+    every = math.prod(bins.count for bins in domain.descriptors)
+    widths = [(bins.high - bins.low) / bins.count for bins in domain.descriptors]
+    return {
+        "names": f"{', '.join(names[:-1])} and {names[-1]}",
+        "widths": ", ".join(f"{width:g}" for width in widths),
+        "cells": f"{cells:,}",
+        "all": f"{every:,}",
+        "entropy": entropy,
+    }
 
 
 def _origin(manifest: Manifest) -> str:

@@ -161,13 +161,16 @@ def measure_coverage(file: Path, manifest: Manifest, advance: Advance | None = N
     )
 
 
+def shannon_entropy(weights: NDArray[Any]) -> float:
+    """The Shannon entropy in nats of weights of 0 or more, divided by their sum; 0 when all are 0."""
+    positive = weights[weights > 0]
+    shares = positive / positive.sum()
+    # Without the sum with 0.0, the entropy of a single share would be -0.0.
+    return float(0.0 - (shares * np.log(shares)).sum())
+
+
 def _effective_rank(covariance: Float64) -> float:
-    eigenvalues = np.linalg.eigvalsh(covariance).clip(min=0.0)
-    total = eigenvalues.sum()
-    if not total > 0.0:
-        return 1.0
-    shares: NDArray[Any] = eigenvalues[eigenvalues > 0.0] / total
-    return float(np.exp(-(shares * np.log(shares)).sum()))
+    return math.exp(shannon_entropy(np.linalg.eigvalsh(covariance).clip(min=0.0)))
 
 
 def _log_distance(points: Float64) -> float:

@@ -28,6 +28,20 @@ _JACO_TOLERANCE = 0.3
 
 
 @dataclass(frozen=True)
+class Bins:
+    """Equal bins of one physical quantity; what lies outside their range belongs to the first or the last.
+
+    Attributes:
+        low, high: the range, in the quantity's unit. Bin i holds what is at least its lower edge and below its upper one.
+        count: how many.
+    """
+
+    low: float
+    high: float
+    count: int
+
+
+@dataclass(frozen=True)
 class Domain:
     """A domain of the benchmark (paper, section "Experiments"; sizes: spec of ExORL and dm_control).
 
@@ -40,6 +54,8 @@ class Domain:
         episode_length: T control steps; an episode ends by this limit only.
         max_return: the largest possible sum of rewards.
         quantities: the Q physical quantities that rewards are functions of.
+        descriptors: the bins of each of the quantities, whose product are the cells in which collection's coverage is counted (see
+            ``cudc_bench.descriptors``); none where the quantities say more than what the body does, as rewards do.
         simulator: ``module:class`` of its :class:`~cudc_bench.envs.simulator.Simulator`.
         rewards: ``module:function`` from physical quantities (..., Q) to the rewards (..., tasks).
         relabeler: the registered relabeler that serves it.
@@ -63,6 +79,7 @@ class Domain:
     relabeler: str
     beyond_state: tuple[tuple[int, int], ...] = ()
     step_tolerance: float = STEP_TOLERANCE
+    descriptors: tuple[Bins, ...] = ()
     excluded: Mapping[str, str] = field(default_factory=dict, hash=False)
 
 
@@ -82,6 +99,8 @@ DOMAINS: dict[str, Domain] = {
             simulator="cudc_bench.envs.walker:Walker",
             rewards="cudc_bench.envs.walker:walker_rewards",
             relabeler="walker",
+            # 10 cm; 0.2; 0.5 m/s, up to the speed that run asks for; 2.5 kg·m²/s. In all 204,800 cells.
+            descriptors=(Bins(0.0, 2.0, 20), Bins(-1.0, 1.0, 10), Bins(-8.0, 8.0, 32), Bins(-40.0, 40.0, 32)),
         ),
         Domain(
             name="quadruped",
@@ -95,6 +114,8 @@ DOMAINS: dict[str, Domain] = {
             simulator="cudc_bench.envs.quadruped:Quadruped",
             rewards="cudc_bench.envs.quadruped:quadruped_rewards",
             relabeler="quadruped",
+            # 0.1; 0.25 m/s, up to the speed that run asks for; 5 cm. In all 24,000 cells.
+            descriptors=(Bins(-1.0, 1.0, 20), Bins(-5.0, 5.0, 40), Bins(0.0, 1.5, 30)),
             beyond_state=((48, 51), (54, 78)),
         ),
         Domain(
@@ -109,6 +130,8 @@ DOMAINS: dict[str, Domain] = {
             simulator="cudc_bench.envs.jaco:Jaco",
             rewards="cudc_bench.envs.jaco:jaco_rewards",
             relabeler="jaco",
+            # Voxels of 2 cm, as far as the arm reaches (measured on 100,000 drawn joint positions). In all 620,000 cells.
+            descriptors=(Bins(-1.0, 1.0, 100), Bins(-0.6, 1.4, 100), Bins(0.0, 1.24, 62)),
             beyond_state=((12, 18),),
             step_tolerance=_JACO_TOLERANCE,
         ),

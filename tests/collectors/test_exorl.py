@@ -621,20 +621,20 @@ def test_at_its_usual_id_it_is_found_by_its_method_at_every_profile(
     files: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    cudc_bench.import_exorl(files, "proto")
+    cudc_bench.import_exorl(files, "foreign")
     (path,) = cudc_bench.evaluate(
-        "td3", methods=["proto"], tasks=["walk"], profile="demo", output=tmp_path / "results", device="cpu",
+        "td3", methods=["foreign"], tasks=["walk"], profile="demo", output=tmp_path / "results", device="cpu",
         settings={"gradient_steps": 2, "evaluate_every": 1, "milestones": [1, 2], "evaluation_episodes": 1, "final_episodes": 1},
     )  # fmt: skip
-    assert "walker/proto-v0 was not collected here: proto imported from ExORL, seed 1, 3,000 steps" in capfd.readouterr().err
+    assert "walker/foreign-v0 was not collected here: foreign imported from ExORL, seed 1, 3,000 steps" in capfd.readouterr().err
     record = read_record(path)
     assert (record.profile, record.dataset.source) == ("demo", "ExORL")
-    assert "--dataset-id walker/walk/proto-v0" in record.command
+    assert "--dataset-id walker/walk/foreign-v0" in record.command
     with pytest.raises(SystemExit):
         main(["list"])
-    (line,) = [line for line in capfd.readouterr().out.splitlines() if "walker/proto-v0" in line]
-    assert all(words in line for words in ("proto (ExORL)", "imported"))
+    (line,) = [line for line in capfd.readouterr().out.splitlines() if "walker/foreign-v0" in line]
+    assert all(words in line for words in ("foreign (ExORL)", "imported"))
     # The collector itself is not here, so that nothing can be made where nothing is.
     shutil.rmtree(Path(files).parent / "results")
-    with pytest.raises(UsageError, match="unknown method 'proto'"):
-        cudc_bench.evaluate("td3", methods=["proto"], seeds=[1, 2], tasks=["walk"], profile="smoke", output=tmp_path / "results")
+    with pytest.raises(UsageError, match="unknown method 'foreign'"):
+        cudc_bench.evaluate("td3", methods=["foreign"], seeds=[1, 2], tasks=["walk"], profile="smoke", output=tmp_path / "results")

@@ -1,0 +1,319 @@
+"""The tests that every collector passes, third parties' included; the only module of this folder that needs pytest.
+
+A package with a collector of its own runs them on it from its own tests::
+
+    from cudc_bench.collectors.contract import CollectorContract
+
+
+    class TestRE3(CollectorContract):
+        method = "re3"
+
+They prove what the collection loop and the manifest promise for a method: sizes in every domain, actions in [-1, 1], repeatable runs,
+members that never see each other, states that can be saved and restored, no use of any reward of the environment, and skills stored
+beside the actions that followed them. Methods with skills are expected to be ``DDPG``s. Nothing is proved about a method's mathematics:
+that takes an independent version of its losses and rewards, for which ``make`` and ``batch_for`` give small stacks and batches.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from cudc_bench import plugins
+from cudc_bench.config import build
+from cudc_bench.envs import DOMAINS
+from cudc_bench.envs.simulator import Float32, Float64
+from cudc_bench.networks import MemberRandom
+from cudc_bench.replay import Batch
+
+from .base import Collector, Space
+from .loop import CollectConfig, run_collection
+
+SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
+SPACES = {
+    name: Space(name, domain.observation_size, domain.action_size, domain.episode_length, seed_steps=4000, update_every=2)
+    for name, domain in DOMAINS.items()
+}
+
+
+def make(name: str = "cudc", seeds: Sequence[int] = (1,), space: Space | None = None, **settings: Any) -> Any:
+    """A registered collector at a small size.
+
+    Args:
+        name: under which it is registered.
+        seeds: one for each member.
+        space: what it is built for; Walker without it.
+        settings: hyperparameters that differ from ``SMALL`` and the method's defaults.
+    """
+    kind = plugins.load("collectors", name)
+    return kind(space or SPACES["walker"], build(kind.config_class, SMALL, settings), list(seeds))
+
+
+def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = False) -> Batch:
+    """Random transitions of a collector's sizes; every member gets other ones, member e those of ``seed + 1000 e``."""
+    members = range(len(collector.seeds))
+    parts = []
+    for member in members:
+        generator = torch.Generator().manual_seed(seed + 1000 * member)
+        parts.append(
+            (
+                torch.randn(size, collector.space.observation, generator=generator),
+                torch.rand(size, collector.space.action, generator=generator) * 2 - 1,
+                torch.randn(size, collector.space.observation, generator=generator),
+            )
+        )
+    observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
+    batch = Batch(observation, action, following, collector.horizon, measure=measure)
+    if collector.skill_size:
+        rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in members]
+        batch.skill = torch.stack([collector.draw_skills(MemberRandom(seeds, "rows")) for seeds in rows])
+    return batch
+
+
+class _Memory:
+    """Keeps what one member collects."""
+
+    def __init__(self) -> None:
+        self.episodes: list[tuple[int, Float32, Float32, Float32 | Float64]] = []
+        self.rows: list[dict[str, Any]] = []
+        self.skills: list[Float32 | Float64 | None] = []
+
+    def add_episode(self, seed: int, observations: Float32, actions: Float32, infos: dict[str, Float32 | Float64]) -> None:
+        self.episodes.append((seed, observations.copy(), actions.copy(), infos["physics"].copy()))
+        self.skills.append(infos["skill"].copy() if "skill" in infos else None)
+
+    def add_diagnostics(self, row: dict[str, Any]) -> None:
+        self.rows.append(row)
+
+
+def _run(collector: Collector, steps: int = 2300, seed_steps: int = 1000, update_every: int = 25) -> list[_Memory]:
+    sinks = [_Memory() for _ in collector.seeds]
+    config = CollectConfig(steps=steps, seed_steps=seed_steps, update_every=update_every, measure_every=5)
+    run_collection(collector, config, DOMAINS["walker"], list(sinks), lambda n: None)
+    return sinks
+
+
+def _flat(value: Any) -> list[Tensor]:
+    """Every tensor inside a state dict, in order."""
+    if isinstance(value, Tensor):
+        return [value]
+    if isinstance(value, dict):
+        value = value.values()
+    if isinstance(value, list | tuple) or not isinstance(value, str | int | float | bool | type(None)):
+        return [tensor for item in value for tensor in _flat(item)]
+    return []
+
+
+class CollectorContract:
+    """One battery for one registered collector: subclass it under a name that starts with Test, and say its ``method``.
+
+    Class attributes:
+        method: the name under which the collector is registered.
+    """
+
+    method: ClassVar[str]
+
+    @pytest.fixture
+    def name(self) -> str:
+        """The registered name of the collector under test."""
+        return self.method
+
+    @pytest.fixture(autouse=True)
+    def one_thread(self) -> Iterator[None]:
+        """Matrices this small take many times as long on several threads, which wait for each other."""
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        yield
+        torch.set_num_threads(before)
+
+    @pytest.mark.parametrize("domain", SPACES)
+    @pytest.mark.parametrize("members", [1, 3])
+    def test_builds_updates_and_acts_in_every_domain(self, name: str, domain: str, members: int) -> None:
+        space = SPACES[domain]
+        collector = make(name, range(members), space)
+        metrics = collector.update(batch_for(collector, measure=True))
+        assert all(value.shape == (members,) and torch.isfinite(value).all() for value in metrics.values())
+        assert bool(metrics) == collector.learns
+        action = collector.act(torch.randn(members, space.observation))
+        assert action.shape == (members, space.action)
+        assert action.abs().max() <= 1
+        assert collector.horizon.shape == (members,)
+        assert collector.horizon.dtype == torch.int64
+        assert 1 <= int(collector.horizon.max()) <= collector.max_horizon <= space.episode_length
+        assert len(collector.summary()) == members
+
+    def test_says_what_it_is(self, name: str) -> None:
+        kind = plugins.load("collectors", name)
+        assert isinstance(kind.family, str)
+        assert isinstance(kind.citation, str)
+        with pytest.raises(AttributeError):  # A manifest states the hyperparameters, so nothing may change them on the way.
+            kind.config_class().anything = 1
+
+    def test_acts_deterministically_when_told_and_explores_otherwise(self, name: str) -> None:
+        collector = make(name, (1, 2))
+        observation = torch.randn(2, 24) * 5
+        calm = collector.act(observation, explore=False)
+        assert torch.equal(calm, collector.act(observation, explore=False))
+        tries = torch.stack([collector.act(observation) for _ in range(20)])
+        assert tries.abs().max() <= 1
+        assert tries.std(0).min() > 0
+
+    def test_a_restored_state_continues_identically(self, name: str) -> None:
+        first = make(name, (1, 2))
+        for step in range(3):
+            first.update(batch_for(first, seed=step))
+        state = copy.deepcopy(first.state_dict())
+        second = make(name, (1, 2))
+        second.load_state_dict(state)
+        for step in range(3, 6):
+            metrics = [c.update(batch_for(c, seed=step, measure=True)) for c in (first, second)]
+            for key, value in metrics[0].items():
+                assert torch.equal(value, metrics[1][key]), key
+        observation = torch.randn(2, 24)
+        assert torch.equal(first.act(observation), second.act(observation))
+        for a, b in zip(_flat(first.state_dict()), _flat(second.state_dict()), strict=True):
+            assert torch.equal(a, b)
+
+    def test_members_learn_together_as_they_do_alone(self, name: str) -> None:
+        together = make(name, (5, 6))
+        alone = make(name, (6,))
+        for step in range(10):
+            batch = batch_for(together, seed=step)
+            together.update(batch)
+            skill = None if batch.skill is None else batch.skill[1:2]
+            alone.update(Batch(batch.observation[1:2], batch.action[1:2], batch.next_observation[1:2], alone.horizon, skill=skill))
+        observation = torch.randn(1, 24)
+        pair = together.act(observation.expand(2, -1), explore=False)
+        torch.testing.assert_close(pair[1:], alone.act(observation, explore=False), atol=1e-4, rtol=1e-4)
+        if alone.learns:
+            assert not torch.allclose(pair[0], pair[1])
+
+    def test_collected_together_equals_collected_alone(self, name: str) -> None:
+        # One update before step 1,100; rounding has not had time to grow through the chaos of the simulation.
+        pair = _run(make(name, (5, 6)), steps=1100, update_every=90)
+        alone = _run(make(name, (6,)), steps=1100, update_every=90)[0]
+        for together, single in zip(pair[1].episodes, alone.episodes, strict=True):
+            assert together[0] == single[0]
+            torch.testing.assert_close(torch.from_numpy(together[2]), torch.from_numpy(single[2]), atol=1e-3, rtol=0)
+        first = pair[0].episodes[0][2] == pair[1].episodes[0][2]
+        assert not first.all()
+
+    def test_a_run_is_repeated_exactly(self, name: str) -> None:
+        first, second = _run(make(name))[0], _run(make(name))[0]
+        # How fast it went is the only thing that may differ.
+        assert [row | {"steps_per_second": 0} for row in first.rows] == [row | {"steps_per_second": 0} for row in second.rows]
+        for a, b in zip(first.episodes, second.episodes, strict=True):
+            assert a[0] == b[0]
+            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_ten_thousand_steps_make_ten_valid_episodes_without_any_reward(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        def poisoned(quantities: Any) -> None:
+            raise AssertionError("a collector asked for the environment's reward")
+
+        monkeypatch.setattr("cudc_bench.envs.walker.walker_rewards", poisoned)
+        collector = make(name)
+        seen: list[Tensor | None] = []
+        update = collector.update
+
+        def remember(batch: Batch) -> dict[str, Tensor]:
+            seen.append(batch.reward)
+            return update(batch)
+
+        collector.update = remember
+        sink = _run(collector, steps=10_000, seed_steps=4_000, update_every=60)[0]
+        assert len(sink.episodes) == 10
+        for _, observations, actions, physics in sink.episodes:
+            assert observations.shape == (1001, 24)
+            assert actions.shape == (1000, 6)
+            assert physics.shape == (1001, 18)
+            assert all(np.isfinite(x).all() for x in (observations, actions, physics))
+            assert abs(actions).max() <= 1
+        assert all(reward is None for reward in seen)
+        assert bool(seen) == collector.learns
+        # Exactly one update on every 60th step from the first after the random ones.
+        assert len(seen) == (100 if collector.learns else 0)
+
+    def test_what_is_measured_for_diagnostics_never_reaches_the_method(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Physical quantities are read for coverage; other quantities must leave every byte and every metric as it was."""
+        true = _run(make(name), steps=1300)[0]
+        noise = np.random.default_rng(0)
+        monkeypatch.setattr("cudc_bench.envs.walker.Walker.quantities", lambda self, out: noise.random(out=out))
+        other = _run(make(name), steps=1300)[0]
+        covered = [[(row.pop("coverage_cells"), row.pop("coverage_entropy")) for row in sink.rows] for sink in (true, other)]
+        assert covered[0] != covered[1]
+        assert [row | {"steps_per_second": 0} for row in true.rows] == [row | {"steps_per_second": 0} for row in other.rows]
+        for a, b in zip(true.episodes, other.episodes, strict=True):
+            assert a[0] == b[0]
+            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_poisoned_rewards_never_reach_an_update(self, name: str) -> None:
+        collectors = [make(name), make(name)]
+        for step in range(3):
+            clean, poisoned = (batch_for(c, seed=step, measure=True) for c in collectors)
+            poisoned.reward = torch.full(poisoned.action.shape[:2], math.nan)
+            metrics = [c.update(batch) for c, batch in zip(collectors, (clean, poisoned), strict=True)]
+            assert all(torch.equal(value, metrics[1][key]) for key, value in metrics[0].items())
+
+    def test_physical_quantities_change_nothing_that_is_collected(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        # They are measured for diagnostics; whatever they say, the method must not hear of it.
+        measured = _run(make(name), steps=1200, seed_steps=300)[0]
+        monkeypatch.setattr("cudc_bench.envs.walker.Walker.quantities", lambda self, out: out.fill(0.0))
+        unmeasured = _run(make(name), steps=1200, seed_steps=300)[0]
+        for a, b in zip(measured.episodes, unmeasured.episodes, strict=True):
+            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_a_last_short_episode_ends_the_dataset(self, name: str) -> None:
+        sink = _run(make(name), steps=1300)[0]
+        assert [len(actions) for _, _, actions, _ in sink.episodes] == [1000, 300]
+
+    def test_metrics_are_costly_only_when_measured(self, name: str) -> None:
+        collector = make(name)
+        assert collector.update(batch_for(collector)) == {}
+
+    def test_skills_are_stored_as_the_actions_followed_them(self, name: str) -> None:
+        collector = make(name)
+        given: list[Any] = []
+        act = collector.act
+
+        def remember(observation: Tensor, explore: bool = True) -> Tensor:
+            given.append(collector.skill.clone() if collector.skill_size else None)
+            return act(observation, explore)
+
+        collector.act = remember
+        sink = _run(collector, steps=1300, seed_steps=0, update_every=100)[0]
+        if not collector.skill_size:
+            assert sink.skills == [None, None]
+            return
+        lengths = [1000, 300]
+        skills = [torch.from_numpy(skill) for skill in sink.skills if skill is not None]
+        assert [skill.shape for skill in skills] == [(length + 1, collector.skill_size) for length in lengths]
+        for rows, start in zip(skills, (0, 1000), strict=True):
+            assert torch.equal(rows[:-1], torch.cat(given[start : start + len(rows) - 1]))
+            assert torch.equal(rows[-1], rows[-2])
+            changes = (rows[1:-1] != rows[:-2]).any(1).nonzero()[:, 0] + 1
+            every_steps = collector.skill_steps
+            assert not every_steps or (changes % every_steps == 0).all()
+            assert bool(len(changes)) == bool(every_steps)
+        assert len(skills[0].unique(dim=0)) > 1 or not collector.skill_steps
+
+    def test_actions_and_values_depend_on_the_skill(self, name: str) -> None:
+        collector = make(name)
+        if not collector.skill_size:
+            return
+        batch = batch_for(collector)
+        assert batch.skill is not None
+        other = torch.roll(batch.skill, 1, dims=1)
+        different = (other != batch.skill).any(-1)[0]
+        with torch.no_grad():
+            mean = [collector.actor(collector.with_skill(batch.observation, skill)) for skill in (batch.skill, other)]
+            value = [collector.value(collector.critic, batch.observation, skill, batch.action) for skill in (batch.skill, other)]
+        for first, second in (mean, value):
+            assert (first != second).any(-1)[0][different].all()
+            torch.testing.assert_close(first[0][~different], second[0][~different])

@@ -1,0 +1,98 @@
+"""The example package in an environment of its own, as a third party installs it: pip, the command line, the data, the battery."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import cudc_bench
+from cudc_bench.ids import parse_id
+from cudc_bench.manifest import read_manifest
+
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "plugin"
+SITES = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the example, and an environment that has it installed beside everything that runs these tests.
+
+    PyTorch and the rest are not installed anew, which would take minutes and a network: the new environment sees the running one's
+    packages through a .pth file. One of ``--system-site-packages`` would see those of the interpreter under both.
+    """
+    folder = tmp_path_factory.mktemp("plugin")
+    # Without what may lie about from other tools: a build happens in place.
+    shutil.copytree(EXAMPLE, folder / "plugin", ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
+    venv.create(folder / "venv", symlinks=True)
+    base = {"base": str(folder / "venv"), "platbase": str(folder / "venv")}
+    # addsitedir, unlike a plain path, also runs the .pth files there, which an editable installation consists of.
+    lines = "".join(f"import site; site.addsitedir({path!r})\n" for path in SITES)
+    Path(sysconfig.get_path("purelib", "venv", base), "running.pth").write_text(lines)
+    offline = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--no-index")
+    command = [interpreter(folder), "-m", "pip", "install", *offline, folder / "plugin"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def interpreter(place: Path) -> str:
+    return str(place / "venv" / "bin" / "python")
+
+
+def test_an_installed_method_collects_and_is_named_wherever_methods_are(place: Path, cli: Callable) -> None:
+    done = cli("collect", "--method", "re3", "--profile", "smoke", interpreter=interpreter(place))
+    assert done.code == 0, done.err
+
+    # The package is not installed where this runs: nobody needs it to use its data.
+    data = cudc_bench.load_transitions("walker/re3-v0", verify=True)
+    assert data.observations.shape == (3000, 24)
+    assert data.actions.shape == (3000, 6)
+    assert not data.rewards.any()
+    manifest = read_manifest(parse_id("walker/re3-v0"))
+    assert (manifest.method, manifest.citation, manifest.profile) == ("re3", "Seo et al. 2021", "smoke")
+    assert manifest.versions["cudc-bench-re3"] == "0.1.0"
+    assert manifest.hyperparameters["neighbours"] == 3
+    assert manifest.command == "cudc-bench collect --domain walker --method re3 --seed 1 --profile smoke"
+    # The method learnt with its own reward, which lies above 0 and below the largest distance between two vectors of tanh.
+    assert 0 < manifest.diagnostics["reward"] < 3
+
+    listed = cli("list", interpreter=interpreter(place))
+    assert listed.code == 0, listed.err
+    (method,) = [line for line in listed.out.splitlines() if "Seo et al. 2021" in line]
+    assert {"re3", "entropy"} <= set(method.replace("│", " ").split())
+    assert any("walker/re3-v0" in line and "smoke" in line for line in listed.out.splitlines())
+
+
+def test_its_settings_are_checked_like_our_own(place: Path, cli: Callable, datasets: Path) -> None:
+    done = cli("collect", "--method", "re3", "--set", "neighbours=500", interpreter=interpreter(place))
+    assert done.code == 2
+    assert "re3 cannot be built: 500 neighbours cannot be found in a batch_size of" in " ".join(done.err.split())
+    assert not datasets.exists()
+
+
+def test_a_name_that_two_packages_register_is_refused(cli: Callable, datasets: Path, tmp_path: Path) -> None:
+    rival = tmp_path / "rival" / "rival-1.0.dist-info"
+    rival.mkdir(parents=True)
+    (rival / "METADATA").write_text("Metadata-Version: 2.1\nName: rival\nVersion: 1.0\n")
+    (rival / "entry_points.txt").write_text("[cudc_bench.collectors]\nrandom = rival:Random\n")
+    done = cli("collect", "--method", "random", env={"PYTHONPATH": str(rival.parent)})
+    assert done.code == 1
+    said = " ".join(done.err.split())
+    assert "the method 'random' is registered by several installed packages" in said
+    assert "cudc-bench (cudc_bench.collectors.random:Random), rival (rival:Random). Uninstall all but one." in said
+    assert not datasets.exists()
+
+
+def test_the_battery_and_its_own_tests_pass(place: Path, environment: dict[str, str]) -> None:
+    command = [interpreter(place), "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_re3.py"]
+    done = subprocess.run(command, cwd=place / "plugin", env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "passed" in done.stdout
+    assert "skipped" not in done.stdout
