@@ -34,6 +34,7 @@ from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch
 
 from .base import Collector, Space
+from .ddpg import DDPG
 from .loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
@@ -268,6 +269,19 @@ class CollectorContract:
         unmeasured = _run(make(name), steps=1200, seed_steps=300)[0]
         for a, b in zip(measured.episodes, unmeasured.episodes, strict=True):
             assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_learns_from_transitions_of_other_lengths(self, name: str) -> None:
+        """The k of a method may be set, and the value of s' counts γ^k."""
+        if not hasattr(make(name).config, "horizon"):
+            pytest.skip("it looks no number of steps ahead")
+        for k in (1, 5):
+            collector = make(name, horizon=k)
+            assert collector.horizon.tolist() == [k]
+            batch = batch_for(collector, measure=True)
+            metrics = collector.update(batch)
+            assert all(torch.isfinite(value).all() for value in metrics.values())
+            if isinstance(collector, DDPG):
+                assert collector.bootstrap(batch).flatten().tolist() == pytest.approx([collector.config.discount**k])
 
     def test_a_last_short_episode_ends_the_dataset(self, name: str) -> None:
         sink = _run(make(name), steps=1300)[0]
