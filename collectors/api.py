@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
+from cudc_bench.config import config_hash
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes, write_metadata
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
@@ -27,8 +27,8 @@ from cudc_bench.progress import Advance, say
 from cudc_bench.provenance import command_line, stamp
 from cudc_bench.runlog import LogTarget, RunLog, check_log, open_log
 
-from .base import Space
-from .loop import CollectConfig, run_collection
+from .loop import run_collection
+from .setting import Setting, say_whose_values, settle
 
 
 def collect(
@@ -69,14 +69,8 @@ def collect(
         UsageError: wrong input; nothing has been written.
         RunError: the run failed.
     """
-    kind = plugins.load("collectors", method)
-    facts = check_domain(domain)
     chosen = resolve_profile(profile)
-    settings = dict(settings or {})
-    check_settings(settings, [CollectConfig, kind.config_class])
-    layers = (chosen.collect, kind.domain_values.get(domain, {}))
-    loop, config = (build(one, *layers, settings) for one in (CollectConfig, kind.config_class))
-    overrides = changed(as_dict(loop, config), as_dict(*(build(one, *layers) for one in (CollectConfig, kind.config_class))))
+    setting = settle(method, domain, chosen, settings)
     seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
@@ -86,26 +80,14 @@ def collect(
     check_folder(datasets_root(), "the dataset root")
     logs = check_log(log, log_dir)
     device = resolve_device(device)
-    # Building once here finds settings that do not fit each other before any process starts.
-    space = _space(domain, loop)
-    try:
-        probe = kind(space, config, seeds[:1], "cpu")
-    except ValueError as error:
-        raise UsageError(f"{method} cannot be built: {error}.") from None
-    if probe.max_horizon > facts.episode_length:
-        raise UsageError(f"a horizon of {probe.max_horizon} steps does not fit into episodes of {facts.episode_length}.")
-    del probe
     groups = [list(range(len(seeds)))] if device == "cuda" else [[index] for index in range(len(seeds))]
     count = 1 if device == "cuda" else worker_count(workers, len(groups))
     if check_only:
         return [str(one) for one in ids]
 
-    if kind.domain_values and domain not in kind.domain_values:
-        plain = as_dict(build(kind.config_class))
-        same = [name for name, values in kind.domain_values.items() if as_dict(build(kind.config_class, values)) == plain]
-        say(f"{method} has no values of its own for {domain}; it takes {'those for ' + same[0] if same else 'its defaults'}")
-    say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {loop.steps:,} steps each, {device}")
-    values = as_dict(loop, config)
+    say_whose_values(setting)
+    say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each, {device}")
+    values = setting.values
     targets = [
         None if log is None else LogTarget(log, logs, "collect", chosen.name, domain, str(one), f"{method}-seed{seed}", values)
         for seed, one in zip(seeds, ids, strict=True)
@@ -113,10 +95,9 @@ def collect(
     jobs = [
         Job(
             description=f"{method} seed {format_seeds([seeds[i] for i in group])}",
-            total=loop.steps,
+            total=setting.loop.steps,
             arguments={
-                "method": method, "domain": domain, "seeds": [seeds[i] for i in group], "ids": [ids[i] for i in group],
-                "profile": chosen.name, "loop": loop, "config": config, "overrides": overrides, "device": device,
+                "setting": setting, "seeds": [seeds[i] for i in group], "ids": [ids[i] for i in group], "device": device,
                 "targets": [targets[i] for i in group],
             },
         )
@@ -129,39 +110,38 @@ def collect(
 
 
 def collect_members(
-    advance: Advance, *, method: str, domain: str, seeds: list[int], ids: list[DatasetId], profile: str,
-    loop: CollectConfig, config: Any, overrides: dict[str, Any], device: str, targets: list[LogTarget | None],
+    advance: Advance, *, setting: Setting, seeds: list[int], ids: list[DatasetId], device: str, targets: list[LogTarget | None],
 ) -> None:  # fmt: skip
     """Collect some members in this process and publish their datasets (the job of :func:`collect`)."""
     started = time.monotonic()
-    kind = plugins.load("collectors", method)
-    collector = kind(_space(domain, loop), config, seeds, device)
-    values = as_dict(loop, config)
+    method, facts, values = setting.method, check_domain(setting.domain), setting.values
+    collector = setting.kind(setting.space, setting.config, seeds, device)
     with ExitStack() as stack:
         folders = [stack.enter_context(staging(one)) for one in ids]
         sinks = [_Sink(folder, stack.enter_context(open_log(target))) for folder, target in zip(folders, targets, strict=True)]
-        run_collection(collector, loop, check_domain(domain), list(sinks), advance)
+        run_collection(collector, setting.loop, facts, list(sinks), advance)
         summaries = collector.summary()
         for seed, one, folder, sink, summary in zip(seeds, ids, folders, sinks, summaries, strict=True):
             written = write_episodes(folder / "data", iter(sink.shards))
             manifest = Manifest(
-                domain=domain,
+                domain=setting.domain,
                 method=method,
                 seed=seed,
                 steps=written.steps,
                 episodes=written.episodes,
-                profile=profile,
-                overrides=overrides,
+                profile=setting.profile,
+                overrides=setting.overrides,
                 hyperparameters=values,
                 hyperparameters_hash=config_hash(values),
-                citation=kind.citation,
+                citation=setting.kind.citation,
                 fields=written.fields,
                 fingerprint=fingerprint(written.fields),
+                pilot=setting.pilot,
                 diagnostics=sink.last | summary,
-                command=_command(method, domain, seed, profile, overrides, one),
+                command=_command(setting, seed, one),
                 **stamp(started, device, torch.get_num_threads(), plugins.package("collectors", method)),
             )
-            write_metadata(folder / "data", manifest, str(one), _description(check_domain(domain), method))
+            write_metadata(folder / "data", manifest, str(one), _description(facts, method))
             sink.close()
             publish(folder, one)
 
@@ -173,16 +153,11 @@ def _description(domain: Domain, method: str) -> str:
     return f"{explored}: the rewards are all 0. {way} rewards from infos/physics.{excluded}"
 
 
-def _space(domain: str, loop: CollectConfig) -> Space:
-    facts = check_domain(domain)
-    return Space(domain, facts.observation_size, facts.action_size, facts.episode_length, loop.seed_steps, loop.update_every)
-
-
-def _command(method: str, domain: str, seed: int, profile: str, overrides: Mapping[str, Any], dataset_id: DatasetId) -> str:
-    options = {"--domain": domain, "--method": method, "--seed": str(seed), "--profile": profile}
-    if dataset_id != default_id(domain, method, seed):
+def _command(setting: Setting, seed: int, dataset_id: DatasetId) -> str:
+    options = {"--domain": setting.domain, "--method": setting.method, "--seed": str(seed), "--profile": setting.profile}
+    if dataset_id != default_id(setting.domain, setting.method, seed):
         options["--dataset-id"] = str(dataset_id)
-    return command_line("collect", options, overrides)
+    return command_line("collect", options, setting.overrides)
 
 
 class _Sink:

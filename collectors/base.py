@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from cudc_bench.config import build
 from cudc_bench.replay import Batch
 
 
@@ -40,6 +41,8 @@ class Collector(ABC):
     Class attributes:
         config_class: the frozen dataclass of hyperparameters; its defaults are the paper's.
         domain_values: hyperparameters that the method's paper sets per domain.
+        moot_in_pilot: hyperparameters that have no effect while a pilot runs (see ``threshold``).
+        values: hyperparameters that make a named variant out of the method that it is a subclass of; they win over ``domain_values``.
         family: how it explores, for lists and tables.
         citation: the paper, for lists and tables.
         learns: False if ``update`` never has anything to do.
@@ -47,6 +50,8 @@ class Collector(ABC):
 
     config_class: ClassVar[type]
     domain_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    values: ClassVar[Mapping[str, Any]] = {}
+    moot_in_pilot: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str]
     citation: ClassVar[str]
     learns: ClassVar[bool] = True
@@ -57,6 +62,24 @@ class Collector(ABC):
         self.seeds = tuple(seeds)
         self.device = torch.device(device)
 
+    @classmethod
+    def configure(cls, domain: str, profile: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Any:
+        """The method's hyperparameters: its defaults, and over them those of the profile, the domain, the variant and the user.
+
+        Raises:
+            UsageError: a value is of the wrong type or out of range.
+        """
+        return build(cls.config_class, profile or {}, cls.domain_values.get(domain, {}), cls.values, settings or {})
+
+    @classmethod
+    def threshold(cls, config: Any) -> str | None:
+        """The hyperparameter that a pilot measures before the method can run, for which nobody knows a value; None for most methods.
+
+        With 0 in its place the method runs as its own pilot: ``batch.kept["signal"]`` (E, B) then holds, after each update, what the
+        threshold will be compared with.
+        """
+        return None
+
     @property
     @abstractmethod
     def horizon(self) -> Tensor:
@@ -66,6 +89,11 @@ class Collector(ABC):
     def max_horizon(self) -> int:
         """The largest k that a member can reach; episodes must be at least this long."""
         return int(self.horizon.max())
+
+    @property
+    def nearest(self) -> int | None:
+        """The smallest k' of the second state that comes with each transition, k' uniform from there to k; None where none is wanted."""
+        return None
 
     @property
     def skill_size(self) -> int:

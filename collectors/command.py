@@ -1,4 +1,4 @@
-"""``cudc-bench collect`` and ``cudc-bench import-exorl``."""
+"""``cudc-bench collect``, ``cudc-bench pilot`` and ``cudc-bench import-exorl``."""
 
 from __future__ import annotations
 
@@ -68,6 +68,27 @@ def collect(
         print(one)
     relabel = f": cudc-bench relabel {ids[0]}, or" if check_domain(domain).tasks else ","
     say(f"next{relabel} in Python: minari.load_dataset('{ids[0]}')")
+
+
+def pilot(
+    method: Annotated[str, typer.Option("--method", help="Collectors that need a threshold, or 'all' such.")] = "all",
+    domain: DomainOption = "walker",
+    profile: ProfileOption = "auto",
+    settings: SetOption = None,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = None,
+) -> None:
+    """Measure the thresholds that some variants of CUDC need."""
+    from cudc_bench.config import parse_settings
+
+    from .pilot import pilot as run
+    from .thresholds import thresholds_path
+
+    names = None if method.strip() == "all" else parse_names(method)
+    if names == ():
+        raise UsageError("--method is empty; leave it out for all that need a threshold.")
+    run(names, domain, profile=profile, settings=parse_settings(settings or []), device=device, workers=workers)
+    print(thresholds_path())
 
 
 def import_exorl(

@@ -27,7 +27,6 @@ import torch
 from torch import Tensor
 
 from cudc_bench import plugins
-from cudc_bench.config import build
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.networks import MemberRandom
@@ -54,7 +53,11 @@ def make(name: str = "cudc", seeds: Sequence[int] = (1,), space: Space | None = 
         settings: hyperparameters that differ from ``SMALL`` and the method's defaults.
     """
     kind = plugins.load("collectors", name)
-    return kind(space or SPACES["walker"], build(kind.config_class, SMALL, settings), list(seeds))
+    space = space or SPACES["walker"]
+    config = kind.configure(space.domain, SMALL, settings)
+    if (threshold := kind.threshold(config)) is not None and getattr(config, threshold) is None:
+        config = kind.configure(space.domain, SMALL, {threshold: 0.5, **settings})
+    return kind(space, config, list(seeds))
 
 
 def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = False) -> Batch:
@@ -72,6 +75,9 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
         )
     observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
     batch = Batch(observation, action, following, collector.horizon, measure=measure)
+    if collector.nearest is not None:
+        batch.nearer_observation = (observation + following) / 2
+        batch.nearer_horizon = collector.nearest + torch.arange(size) % (collector.horizon[:, None] - collector.nearest + 1)
     if collector.skill_size:
         rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in members]
         batch.skill = torch.stack([collector.draw_skills(MemberRandom(seeds, "rows")) for seeds in rows])
@@ -189,7 +195,10 @@ class CollectorContract:
             batch = batch_for(together, seed=step)
             together.update(batch)
             skill = None if batch.skill is None else batch.skill[1:2]
-            alone.update(Batch(batch.observation[1:2], batch.action[1:2], batch.next_observation[1:2], alone.horizon, skill=skill))
+            one = Batch(batch.observation[1:2], batch.action[1:2], batch.next_observation[1:2], alone.horizon, skill=skill)
+            if batch.nearer_observation is not None and batch.nearer_horizon is not None:
+                one.nearer_observation, one.nearer_horizon = batch.nearer_observation[1:2], batch.nearer_horizon[1:2]
+            alone.update(one)
         observation = torch.randn(1, 24)
         pair = together.act(observation.expand(2, -1), explore=False)
         torch.testing.assert_close(pair[1:], alone.act(observation, explore=False), atol=1e-4, rtol=1e-4)
@@ -272,10 +281,11 @@ class CollectorContract:
 
     def test_learns_from_transitions_of_other_lengths(self, name: str) -> None:
         """The k of a method may be set, and the value of s' counts γ^k."""
-        if not hasattr(make(name).config, "horizon"):
+        config = make(name).config
+        if not hasattr(config, "horizon"):
             pytest.skip("it looks no number of steps ahead")
         for k in (1, 5):
-            collector = make(name, horizon=k)
+            collector = make(name, horizon=k, **({"k_max": max(k, config.k_max)} if hasattr(config, "k_max") else {}))
             assert collector.horizon.tolist() == [k]
             batch = batch_for(collector, measure=True)
             metrics = collector.update(batch)

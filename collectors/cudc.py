@@ -1,6 +1,8 @@
 """CUDC: curiosity-driven data collection with adaptive temporal distances (Sun, Qian, Miao, AAAI 2024, arXiv 2312.12191).
 
 Where the paper leaves a choice open, the configuration names it as a switch, and the default is the reading explained beside it.
+The switches of the second group turn CUDC's parts off, or into those of the methods that it was built from; ``variants`` names the
+settings that the paper studies.
 """
 
 from __future__ import annotations
@@ -15,13 +17,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from cudc_bench.config import Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.manifest import ENDS_TOO_EARLY, STARTS_TOO_EARLY
 from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update
+from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
 from cudc_bench.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
-
-STARTS_TOO_EARLY, ENDS_TOO_EARLY = 50_000, 100_000  # environment steps; see CUDC.summary
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,21 @@ class CUDCConfig(DDPGConfig):
         weight_mode: w as it is, or divided by its minibatch mean before clipping.
         patience: how many updates in a row must meet the test before k grows.
         min_dwell: environment steps for which k stays at least.
+        inverse_k_batch: what L_k is computed on: the minibatch, whose tuples all share one k, or second ends of its tuples with k' drawn
+            for each from {horizon, ..., k}, without which f_k only learns what k is at the moment.
+        encoder: φ_s, APT's trunk in its place, or none: z is then the observation, as in ICM.
+        action_encoder: whether there is φ_a; the forward model sees raw actions without it, and the entropy is that of states.
+        inverse: what the inverse model predicts: action features, given k; raw actions, as in ICM and APT; or it is left out.
+        step_model: whether f_k and L_k are there.
+        reach: whether the reachability module is there: h, W, the momentum copies and L_reach.
+        regularize: weigh the samples of critic and actor by curiosity.
+        entropy: whether r_H is in the reward.
+        prediction_error: α r_E, ICM's log(1 + r_E), or no such term in the reward.
+        k_rule: k grows with the share of w below c_w, of rewards below c_r, or of forward errors below c_e; or each update's k is drawn,
+            uniformly from K, or normally with a mean that rises from horizon to k_max.
+        c_r, c_e: thresholds of those rules. The paper gives none, so that a pilot measures them (see ``pilot``).
+        threshold_dwell: min_dwell of the two rules whose thresholds a pilot measures.
+        normal_std: of the normal draw. normal_steps: environment steps after which its mean has reached k_max.
     """
 
     k_max: PositiveInt = 6
@@ -73,6 +89,27 @@ class CUDCConfig(DDPGConfig):
     weight_mode: Literal["prob", "mean_normalised"] = "prob"
     patience: PositiveInt = 1
     min_dwell: NonNegativeInt = 0
+    inverse_k_batch: Literal["shared", "mixed"] = "shared"
+    encoder: Literal["cudc", "apt", "none"] = "cudc"
+    action_encoder: bool = True
+    inverse: Literal["features", "actions", "none"] = "features"
+    step_model: bool = True
+    reach: bool = True
+    regularize: bool = True
+    entropy: bool = True
+    prediction_error: Literal["linear", "log", "none"] = "linear"
+    k_rule: Literal["weight", "reward", "error", "uniform", "normal"] = "weight"
+    c_r: NonNegativeFloat | None = None
+    c_e: NonNegativeFloat | None = None
+    threshold_dwell: NonNegativeInt = 150_000
+    normal_std: NonNegativeFloat = 1.0
+    normal_steps: PositiveInt = 1_000_000
+
+
+# What each rule for k looks at, and the threshold below which it counts.
+_THRESHOLDS = {"weight": "c_w", "reward": "c_r", "error": "c_e"}
+_LOSSES = ("loss_forward", "loss_inverse", "loss_step", "loss_reach")  # in the order of loss_weights
+_QUANTILES = {"w_q10": 0.10, "w_q25": 0.25, "w_median": 0.50, "w_q75": 0.75, "w_q90": 0.90}
 
 
 class CUDC(DDPG):
@@ -89,47 +126,99 @@ class CUDC(DDPG):
         "quadruped": {"alpha": 1e-4, "beta": 1e-2, "clip_low": 0.2, "clip_high": 1.0, "c_w": 0.02},
         "jaco": {"alpha": 100.0, "beta": 0.0, "clip_low": 0.9, "clip_high": 1.0, "c_w": 0.01},
     }
+    moot_in_pilot = frozenset({"c_w", "c_r", "c_e", "c_k", "patience", "min_dwell", "threshold_dwell", "normal_std", "normal_steps"})
     family = "curiosity and entropy"
     citation = "Sun, Qian, Miao 2024"
+
+    @classmethod
+    def threshold(cls, config: CUDCConfig) -> str | None:
+        return _THRESHOLDS[config.k_rule] if config.k_rule in {"reward", "error"} else None
 
     @property
     def max_horizon(self) -> int:
         return int(self.config.k_max)
 
+    @property
+    def nearest(self) -> int | None:
+        return int(self.config.horizon) if self.config.inverse_k_batch == "mixed" else None
+
+    def check(self) -> None:
+        """Refuse switches that do not fit each other.
+
+        Raises:
+            ValueError: says which.
+        """
+        config = self.config
+        wanted = self.threshold(config)
+        problems = {
+            f"k_max={config.k_max} is below the first horizon {config.horizon}": config.k_max < config.horizon,
+            f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}": config.entropy
+            and config.neighbours + config.knn_exclude_self > config.batch_size,
+            "inverse=features predicts what action_encoder=false leaves out": config.inverse == "features" and not config.action_encoder,
+            "inverse_k_batch=mixed needs the step_model": config.inverse_k_batch == "mixed" and not config.step_model,
+            "regularize needs reach, whose probabilities are the weights": config.regularize and not config.reach,
+            "k_rule=weight needs reach, or k_max equal to horizon": (
+                config.k_rule == "weight" and not config.reach and config.k_max > config.horizon
+            ),
+            "entropy=false and prediction_error=none leave no reward": not config.entropy and config.prediction_error == "none",
+            f"{wanted} has no value": wanted is not None and getattr(config, wanted) is None,
+        }
+        for problem, found in problems.items():
+            if found:
+                raise ValueError(problem)
+
     def build(self, random: MemberRandom) -> list[Trained]:
+        self.check()
         config, members = self.config, random.count
-        if config.k_max < config.horizon:
-            raise ValueError(f"k_max={config.k_max} is below the first horizon {config.horizon}")
-        if config.neighbours + config.knn_exclude_self > config.batch_size:
-            raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
-        width, z, a = config.width, config.feature_dim, config.action_feature_dim
+        width = config.width
+        s = self.space.observation if config.encoder == "none" else config.feature_dim
+        a = config.action_feature_dim if config.action_encoder else self.space.action
         self.horizons = config.k_max - config.horizon + 1  # |K|
         self.state_encoder = self._state_encoder(random)
-        self.action_encoder = mlp(random, self.space.action, config.action_hidden, config.action_hidden, a)
-        self.forward_model = mlp(random, z + a + self.horizons, width, z)
-        self.inverse_model = mlp(random, 2 * z + self.horizons, width, a)
-        self.step_model = mlp(random, 2 * z, width, self.horizons)
-        self.projection = self._projection(random)
-        self.similarity = nn.Parameter(self._first_similarity(random))
-        self.momentum_encoder = make_target(self.state_encoder, self._state_encoder(random))
-        self.momentum_projection = make_target(self.projection, self._projection(random))
+        trained: list[Trained] = [self.state_encoder]
+        if config.action_encoder:
+            self.action_encoder = mlp(random, self.space.action, config.action_hidden, config.action_hidden, a)
+            trained.append(self.action_encoder)
+        self.forward_model = mlp(random, s + a + self.horizons, width, s)
+        trained.append(self.forward_model)
+        if config.inverse == "features":
+            self.inverse_model = mlp(random, 2 * s + self.horizons, width, a)
+        elif config.inverse == "actions":
+            self.inverse_model = mlp(random, 2 * s, width, self.space.action, output=torch.tanh)
+        if config.inverse != "none":
+            trained.append(self.inverse_model)
+        if config.step_model:
+            self.step_model = mlp(random, 2 * s, width, self.horizons)
+            trained.append(self.step_model)
+        if config.reach:
+            self.projection = self._projection(random, s)
+            self.similarity = nn.Parameter(self._first_similarity(random))
+            trained += [self.projection, self.similarity]
+        self.has_momentum = config.reach or config.state_target == "momentum"
+        if self.has_momentum:
+            self.momentum_encoder = make_target(self.state_encoder, self._state_encoder(random))
+        if config.reach:
+            self.momentum_projection = make_target(self.projection, self._projection(random, s))
+        if config.k_rule in {"uniform", "normal"}:
+            self.random["k"] = MemberRandom(self.seeds, "horizon", self.device)
         device = self.device
         self.register_buffer("in_a_row", torch.zeros(members, dtype=torch.int64, device=device))
         self.register_buffer("last_change", torch.zeros(members, dtype=torch.int64, device=device))
-        # One row for each possible increment: number of the update, p and mean w at that moment.
+        # One row for each possible increment: number of the update, p and the signal's mean at that moment.
         self.register_buffer("increments", torch.full((members, self.horizons, 3), -1.0, device=device))
         self.register_buffer("probe", torch.zeros(members, config.batch_size, self.space.observation, device=device))
-        return [
-            self.state_encoder, self.action_encoder, self.forward_model, self.inverse_model, self.step_model,
-            self.projection, self.similarity,
-        ]  # fmt: skip
+        return trained
 
     def _state_encoder(self, random: MemberRandom) -> nn.Module:
         size, width, z = self.space.observation, self.config.width, self.config.feature_dim
+        if self.config.encoder == "none":
+            return nn.Identity()
+        if self.config.encoder == "apt":
+            return trunk(random, size, z)
         return nn.Sequential(*mlp(random, size, width, z), LayerNorm(random, z), Activation(torch.tanh))
 
-    def _projection(self, random: MemberRandom) -> nn.Module:
-        sizes = (self.config.feature_dim, self.config.projection_hidden, self.config.projection_dim)
+    def _projection(self, random: MemberRandom, size: int) -> nn.Module:
+        sizes = (size, self.config.projection_hidden, self.config.projection_dim)
         return nn.Sequential(*mlp(random, *sizes), LayerNorm(random, self.config.projection_dim))
 
     def _first_similarity(self, random: MemberRandom) -> Tensor:
@@ -142,44 +231,55 @@ class CUDC(DDPG):
 
     def features(self, batch: Batch) -> dict[str, Tensor]:
         """Everything that losses, weights and reward are functions of, each network applied once."""
-        both = self.state_encoder(torch.cat([batch.observation, batch.next_observation], dim=1))
-        z, z_next = both.chunk(2, dim=1)
-        action = self.action_encoder(batch.action)
-        k = F.one_hot(batch.horizon - self.config.horizon, self.horizons).to(z.dtype)
-        k = k[:, None].expand(-1, z.shape[1], -1)
+        config, size = self.config, batch.observation.shape[1]
+        states = [batch.observation, batch.next_observation]
+        if batch.nearer_observation is not None:
+            states.append(batch.nearer_observation)
+        z, z_next, *nearer = self.state_encoder(torch.cat(states, dim=1)).split(size, dim=1)
+        action = self.action_encoder(batch.action) if config.action_encoder else batch.action
+        k = F.one_hot(batch.horizon - config.horizon, self.horizons).to(z.dtype)
+        k = k[:, None].expand(-1, size, -1)
         z_pair = torch.cat([z, z_next], dim=-1)
-        with torch.no_grad():
-            momentum = self.momentum_encoder(batch.next_observation)
-            keys = self.momentum_projection(momentum)
         predicted = self.forward_model(torch.cat([z, action, k], dim=-1))
+        found = {"z": z, "z_next": z_next, "action": action, "predicted": predicted}
+        if config.inverse != "none":
+            found["inverse"] = self.inverse_model(torch.cat([z_pair, k], dim=-1) if config.inverse == "features" else z_pair)
+        if config.step_model:
+            found["step_logits"] = self.step_model(torch.cat([z, nearer[0]], dim=-1) if nearer else z_pair)
+        if self.has_momentum:
+            with torch.no_grad():
+                found["momentum"] = self.momentum_encoder(batch.next_observation)
+        if not config.reach:
+            return found
+        with torch.no_grad():
+            keys = self.momentum_projection(found["momentum"])
         queries = self.projection(predicted)
         # S_ij = q_iᵀ W c_j: row i ranks every future of the minibatch as the future of tuple i (paper, eq. of l_i).
-        logits = torch.bmm(torch.bmm(queries, self.similarity), keys.transpose(1, 2)) / self.config.temperature
-        log_reachable = logits.diagonal(dim1=1, dim2=2) - logits.logsumexp(-1)
-        found = {
-            "z": z, "z_next": z_next, "action": action, "predicted": predicted, "momentum": momentum,
-            "inverse": self.inverse_model(torch.cat([z_pair, k], dim=-1)),
-            "step_logits": self.step_model(z_pair), "log_reachable": log_reachable,
-        }  # fmt: skip
+        logits = torch.bmm(torch.bmm(queries, self.similarity), keys.transpose(1, 2)) / config.temperature
+        found["log_reachable"] = logits.diagonal(dim1=1, dim2=2) - logits.logsumexp(-1)
         if batch.measure:
-            own = torch.arange(logits.shape[1], device=logits.device)
+            own = torch.arange(size, device=logits.device)
             found["retrieved"] = (logits.detach().argmax(-1) == own).float().mean(1)
         return found
 
     def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        f = self.features(batch)
-        state_target = {"live": f["z_next"], "stopgrad": f["z_next"].detach(), "momentum": f["momentum"]}
-        action_target = f["action"] if self.config.action_target == "live" else f["action"].detach()
-        label = (batch.horizon - self.config.horizon)[:, None].expand(-1, batch.action.shape[1])
-        losses = {
-            "loss_forward": (state_target[self.config.state_target] - f["predicted"]).norm(dim=-1).mean(1),
-            "loss_inverse": (action_target - f["inverse"]).norm(dim=-1).mean(1),
-            "loss_step": F.cross_entropy(f["step_logits"].transpose(1, 2), label, reduction="none").mean(1),
-            "loss_reach": -f["log_reachable"].mean(1),
-        }
+        f, config = self.features(batch), self.config
+        state_target = f["momentum"] if config.state_target == "momentum" else f["z_next"]
+        if config.state_target == "stopgrad":
+            state_target = state_target.detach()
+        losses = {"loss_forward": (state_target - f["predicted"]).norm(dim=-1).mean(1)}
+        if config.inverse != "none":
+            features = f["action"] if config.action_target == "live" else f["action"].detach()
+            target = features if config.inverse == "features" else batch.action
+            losses["loss_inverse"] = (target - f["inverse"]).norm(dim=-1).mean(1)
+        if config.step_model:
+            k = batch.horizon[:, None].expand(-1, batch.action.shape[1]) if batch.nearer_horizon is None else batch.nearer_horizon
+            losses["loss_step"] = F.cross_entropy(f["step_logits"].transpose(1, 2), k - config.horizon, reduction="none").mean(1)
+        if config.reach:
+            losses["loss_reach"] = -f["log_reachable"].mean(1)
         # Algorithm 1 computes w and r before the module's update: these are the values of this forward pass.
         batch.kept = {name: value.detach() for name, value in f.items()}
-        total = sum(weight * loss for weight, loss in zip(self.config.loss_weights, losses.values(), strict=True))
+        total = sum(weight * losses[name] for name, weight in zip(_LOSSES, config.loss_weights, strict=True) if name in losses)
         return total, {name: loss.detach() for name, loss in losses.items()}
 
     # Reward, weight, horizon
@@ -188,41 +288,73 @@ class CUDC(DDPG):
         if self.config.reward_after_update:
             batch.kept = self.features(batch)
         f, config = batch.kept, self.config
-        points = torch.cat([f["z"], f["action"]], dim=-1)
-        f["entropy"] = neighbour_distances(points, config.neighbours, config.knn_exclude_self).mean(-1).log1p()
         f["surprise"] = (f["z_next"] - f["predicted"]).norm(dim=-1)
-        return f["entropy"] + config.alpha * f["surprise"] + config.beta
+        terms = []
+        if config.entropy:
+            points = torch.cat([f["z"], f["action"]], dim=-1) if config.action_encoder else f["z"]
+            f["entropy"] = neighbour_distances(points, config.neighbours, config.knn_exclude_self).mean(-1).log1p()
+            terms.append(f["entropy"])
+        if config.prediction_error != "none":
+            terms.append(config.alpha * f["surprise"] if config.prediction_error == "linear" else f["surprise"].log1p())
+        f["reward"] = sum(terms) + torch.full_like(f["surprise"], config.beta)
+        return f["reward"]
 
-    def sample_weight(self, batch: Batch) -> Tensor:
+    def sample_weight(self, batch: Batch) -> Tensor | None:
+        if not self.config.reach:
+            return None
         # w = 1 - l, in the form that keeps its digits when l is close to 1.
         w = batch.kept["w"] = -torch.expm1(batch.kept["log_reachable"])
+        if not self.config.regularize:
+            return None
         if self.config.weight_mode == "mean_normalised":
             w = w / w.mean(1, keepdim=True)
+        batch.kept["unclipped"] = w
         return w.clamp(self.config.clip_low, self.config.clip_high)
 
     def after_belief(self, batch: Batch) -> dict[str, Tensor]:
-        w = batch.kept["w"]
-        reachable = (w < self.config.c_w).float().mean(1)
-        self._adapt_horizon(reachable, w.mean(1))
-        return self._measure(batch, reachable) if batch.measure else {}
+        f, config = batch.kept, self.config
+        measured = self._measure(batch) if batch.measure else {}
+        if config.k_rule in {"uniform", "normal"}:
+            self.k = self._drawn_horizon()
+        elif config.k_rule != "weight" or config.reach:
+            f["signal"] = f[{"weight": "w", "reward": "reward", "error": "surprise"}[config.k_rule]]
+            low = (f["signal"] < getattr(config, _THRESHOLDS[config.k_rule])).float().mean(1)
+            self._adapt_horizon(low, f["signal"].mean(1))
+            if batch.measure:
+                measured["p"] = low
+        return measured
 
-    def _adapt_horizon(self, reachable: Tensor, mean_w: Tensor) -> None:
+    def _adapt_horizon(self, low: Tensor, mean: Tensor) -> None:
         """k <- k + 1 where p > C_k (paper, Algorithm 1); tensors only, so that nothing waits for the device."""
         config = self.config
-        self.in_a_row = torch.where(reachable > config.c_k, self.in_a_row + 1, 0)
-        dwelt = (self.updates - self.last_change) * self.space.update_every >= config.min_dwell
+        self.in_a_row = torch.where(low > config.c_k, self.in_a_row + 1, 0)
+        dwell = max(config.min_dwell, config.threshold_dwell if self.threshold(config) else 0)
+        dwelt = (self.updates - self.last_change) * self.space.update_every >= dwell
         grow = (self.in_a_row >= config.patience) & dwelt & (self.k < config.k_max)
         row = (self.k - config.horizon)[:, None, None].expand(-1, 1, 3)
-        seen = torch.stack([self.updates.float().expand_as(mean_w), reachable, mean_w], dim=-1)[:, None]
+        seen = torch.stack([self.updates.float().expand_as(mean), low, mean], dim=-1)[:, None]
         self.increments.scatter_(1, row, torch.where(grow[:, None, None], seen, self.increments.gather(1, row)))
         self.last_change = torch.where(grow, self.updates, self.last_change)
         self.in_a_row = torch.where(grow, 0, self.in_a_row)
         # A new tensor: batches already drawn keep the k that they were drawn with.
         self.k = self.k + grow
 
+    def _drawn_horizon(self) -> Tensor:
+        """k of the next minibatch, one for each member: uniform on K, or round(N(μ_t, σ²)) kept inside K."""
+        config = self.config
+        if config.k_rule == "uniform":
+            drawn = config.horizon + (self.random["k"].uniform() * self.horizons).long()
+        else:
+            steps = self.space.seed_steps + (self.updates + 1) * self.space.update_every
+            mean = config.horizon + (config.k_max - config.horizon) * steps / config.normal_steps
+            drawn = (mean + config.normal_std * self.random["k"].normal()).round().long()
+        return drawn.clamp(config.horizon, config.k_max)
+
     def update_targets(self) -> None:
-        soft_update(self.state_encoder, self.momentum_encoder, self.config.momentum_tau)
-        soft_update(self.projection, self.momentum_projection, self.config.momentum_tau)
+        if self.has_momentum:
+            soft_update(self.state_encoder, self.momentum_encoder, self.config.momentum_tau)
+        if self.config.reach:
+            soft_update(self.projection, self.momentum_projection, self.config.momentum_tau)
 
     in_a_row: Tensor
     last_change: Tensor
@@ -231,41 +363,41 @@ class CUDC(DDPG):
 
     # Diagnostics
 
-    def _measure(self, batch: Batch, reachable: Tensor) -> dict[str, Tensor]:
-        f = batch.kept
-        w, entropy, surprise = f["w"], f["entropy"], f["surprise"]
+    def _measure(self, batch: Batch) -> dict[str, Tensor]:
+        f, config = batch.kept, self.config
         if not self.probe.any():
             self.probe.copy_(batch.observation)
-        return {
-            "k": batch.horizon.float(),
-            "p": reachable,
-            "w_mean": w.mean(1),
-            "w_median": w.median(1).values,
-            "w_clipped": (w < self.config.clip_low).float().mean(1),
-            "retrieved": f["retrieved"],
-            "entropy": entropy.mean(1),
-            "surprise": surprise.mean(1),
-            "surprise_share": self.config.alpha * surprise.mean(1) / entropy.mean(1),
-            "action_norm": f["action"].norm(dim=-1).mean(1),
-            "action_spread": f["action"].std(1).norm(dim=-1),
-            "step_norm": (f["z_next"] - f["z"]).norm(dim=-1).mean(1),
-            "effective_rank": effective_rank(self.state_encoder(self.probe)),
-        }
+        found = {"surprise": f["surprise"].mean(1), "step_norm": (f["z_next"] - f["z"]).norm(dim=-1).mean(1)}
+        if config.encoder != "none":
+            found["effective_rank"] = effective_rank(self.state_encoder(self.probe))
+        if config.action_encoder:
+            found |= {"action_norm": f["action"].norm(dim=-1).mean(1), "action_spread": f["action"].std(1).norm(dim=-1)}
+        if config.entropy:
+            found["entropy"] = f["entropy"].mean(1)
+            if config.prediction_error == "linear":
+                found["surprise_share"] = config.alpha * found["surprise"] / found["entropy"]
+        if config.reach:
+            quantiles = f["w"].quantile(torch.tensor(list(_QUANTILES.values()), device=self.device), dim=1)
+            found |= dict(zip(_QUANTILES, quantiles, strict=True)) | {"w_mean": f["w"].mean(1), "retrieved": f["retrieved"]}
+        if config.regularize:
+            found["w_clipped"] = (f["unclipped"] < config.clip_low).float().mean(1)
+        return found
 
     def summary(self) -> list[dict[str, Any]]:
-        """Every increment of k as (step, old k, new k, p, mean w), and whether the schedule is suspect.
+        """Every increment of k as (step, old k, new k, p, mean of what the rule looks at), and whether the schedule is suspect.
 
         Suspect: k grew before 50K environment steps, or reached its bound within 100K of its first growth. The criterion looks at one
         minibatch, so a schedule this early says more about the thresholds than about reachability.
         """
         found = []
+        looked_at = {"reward": "mean_reward", "error": "mean_error"}.get(self.config.k_rule, "mean_w")
         for member in self.increments.tolist():
             changes = []
-            for row, (update, p, w) in enumerate(member):
+            for row, (update, p, mean) in enumerate(member):
                 if update >= 0:
                     step = self.space.seed_steps + int(update) * self.space.update_every
                     k = self.config.horizon + row
-                    changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, "mean_w": w})
+                    changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, looked_at: mean})
             steps = [change["step"] for change in changes]
             at_bound = len(steps) == self.horizons - 1 and len(steps) > 1
             early = bool(steps) and (steps[0] < STARTS_TOO_EARLY or (at_bound and steps[-1] - steps[0] <= ENDS_TOO_EARLY))

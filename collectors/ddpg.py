@@ -60,10 +60,13 @@ class DDPG(Collector, nn.Module):
     def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         nn.Module.__init__(self)
         Collector.__init__(self, space, config, seeds, device)
-        self._act_random = MemberRandom(seeds, "act", device)
-        self._noise_random = MemberRandom(seeds, "update", device)
+        # Streams that the state holds; a method may add its own.
+        self.random = {
+            "act": MemberRandom(seeds, "act", device),
+            "noise": MemberRandom(seeds, "update", device),
+            "skill": MemberRandom(seeds, "skill", device),
+        }
         weights = MemberRandom(seeds, "weights", device)
-        self._skill_random = MemberRandom(seeds, "skill", device)
         inputs = space.observation + self.skill_size
         self.actor = actor(weights, inputs, space.action, config.width)
         self.critic = SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs)
@@ -154,12 +157,12 @@ class DDPG(Collector, nn.Module):
     def next_skill(self, t: int) -> Tensor:
         """New ones at the start of an episode and every ``skill_steps`` steps; with 0 they last for the whole episode."""
         if t == 0 or (self.skill_steps and t % self.skill_steps == 0):
-            self.skill.copy_(self.draw_skills(self._skill_random))
+            self.skill.copy_(self.draw_skills(self.random["skill"]))
         return self.skill
 
     def _policy(self, observation: Tensor, skill: Tensor | None) -> Tensor:
         mean = self.actor(self.with_skill(observation, skill))
-        noise = self._noise_random.normal(*mean.shape[1:])
+        noise = self.random["noise"].normal(*mean.shape[1:])
         return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
 
     def bootstrap(self, batch: Batch) -> Tensor:
@@ -179,7 +182,8 @@ class DDPG(Collector, nn.Module):
         minimise(loss, self.critic_optimiser)
         if not batch.measure:
             return {}
-        return {"reward": reward.mean(1), "q": values.detach().mean((1, 2)), "critic_loss": loss.detach()}
+        metrics = {"reward": reward.mean(1), "q": values.detach().mean((1, 2)), "critic_loss": loss.detach()}
+        return metrics | {"k": batch.horizon.float()}
 
     def _update_actor(self, batch: Batch, weight: Tensor | None) -> dict[str, Tensor]:
         with frozen(self.critic):
@@ -194,7 +198,7 @@ class DDPG(Collector, nn.Module):
         mean = self.actor(self.with_skill(observation, self.skill if self.skill_size else None)[:, None])[:, 0]
         if not explore:
             return mean
-        return noisy_action(mean, self._act_random.normal(self.space.action), self.config.noise_std, None)
+        return noisy_action(mean, self.random["act"].normal(self.space.action), self.config.noise_std, None)
 
     # Saving
 
@@ -206,15 +210,12 @@ class DDPG(Collector, nn.Module):
         return {
             "networks": nn.Module.state_dict(self),
             "optimisers": {name: optimiser.state_dict() for name, optimiser in self._optimisers().items()},
-            "act": self._act_random.state_dict(),
-            "noise": self._noise_random.state_dict(),
-            "skill": self._skill_random.state_dict(),
+            "random": {name: random.state_dict() for name, random in self.random.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
         nn.Module.load_state_dict(self, state["networks"])
         for name, optimiser in self._optimisers().items():
             optimiser.load_state_dict(state["optimisers"][name])
-        self._act_random.load_state_dict(state["act"])
-        self._noise_random.load_state_dict(state["noise"])
-        self._skill_random.load_state_dict(state["skill"])
+        for name, random in self.random.items():
+            random.load_state_dict(state["random"][name])

@@ -129,7 +129,7 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
         if due and replay is not None and replay.episodes():
             # The last update before a line.
             measure = (step + config.update_every) % every == 0 or step + config.update_every >= config.steps
-            batch = replay.sample(collector.config.batch_size, collector.horizon, measure)
+            batch = replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
             metrics = collector.update(batch)
             updates += 1
         row_due = (step + 1) % every == 0 or done

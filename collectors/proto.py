@@ -104,7 +104,7 @@ class Proto(DDPG):
         """Let each prototype pick a state of the minibatch, with the softmax of its scores over the minibatch, into the queue."""
         config = self.config
         chance = self.scores(y).transpose(1, 2).softmax(-1).cumsum(-1)  # (E, M, B)
-        drawn = self._noise_random.uniform(config.prototypes)[..., None] * chance[..., -1:]
+        drawn = self.random["noise"].uniform(config.prototypes)[..., None] * chance[..., -1:]
         picked = torch.searchsorted(chance, drawn).clamp_(max=y.shape[1] - 1)
         rows = (self.queue_start + torch.arange(config.prototypes, device=self.device)) % config.queue_size
         self.queue[:, rows] = y.gather(1, picked.expand(-1, -1, y.shape[-1]))

@@ -78,7 +78,7 @@ class SMM(DDPG):
         skill = skill_of(batch)
         seen = torch.cat([batch.observation, skill], dim=-1)
         mean, log_variance = self.encoder(seen).chunk(2, dim=-1)
-        noise = self._noise_random.normal(*mean.shape[1:])
+        noise = self.random["noise"].normal(*mean.shape[1:])
         squared = (seen - self.decoder(mean + (0.5 * log_variance).exp() * noise)).square()
         divergence = 0.5 * (log_variance.exp() + mean.square() - 1.0 - log_variance).sum(-1)
         unrecognised = skill_cross_entropy(self.discriminator(batch.observation), skill)

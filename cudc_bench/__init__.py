@@ -26,14 +26,16 @@ __all__ = [
     "Verification",
     "collect",
     "coverage",
+    "draw_diagnostics",
     "evaluate",
     "import_exorl",
     "load_transitions",
     "make_leaderboard",
+    "pilot",
     "relabel",
     "verify",
 ]
-_STAGES = ("collect", "import_exorl", "relabel", "evaluate", "make_leaderboard")
+_STAGES = ("collect", "pilot", "import_exorl", "relabel", "evaluate", "make_leaderboard", "draw_diagnostics")
 
 
 def __getattr__(name: str) -> _Any:

@@ -15,7 +15,7 @@ from cudc_bench.errors import CudcBenchError
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
-_ORDER = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "verify", "list", "doctor")
+_ORDER = ("collect", "pilot", "import-exorl", "relabel", "evaluate", "leaderboard", "diagnostics", "verify", "list", "doctor")
 
 
 def _show_version(wanted: bool) -> None:

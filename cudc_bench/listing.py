@@ -38,9 +38,11 @@ def _methods() -> Table:
     from cudc_bench import plugins
 
     table = _table("Collectors (--method)", "name", "family", "citation")
+    first: dict[object, str] = {}
     for name in plugins.names("collectors"):
         kind = plugins.load("collectors", name)
-        table.add_row(name, kind.family, kind.citation)
+        same = first.setdefault(kind, name)
+        table.add_row(name, kind.family if same == name else f"the same as {same}", kind.citation)
     return table
 
 
@@ -75,30 +77,38 @@ def _profiles() -> Table:
 
 
 def _datasets() -> Table:
+    from rich import box
     from rich.markup import escape
 
     from cudc_bench.errors import CudcBenchError
-    from cudc_bench.ids import datasets_root, parse_id
-    from cudc_bench.manifest import read_manifest
+    from cudc_bench.ids import dataset_path, datasets_root
+    from cudc_bench.manifest import read_manifest, stored_ids
 
     root = datasets_root()
-    table = _table(f"Datasets in {root}", "id", "method", "task", "profile", "seed", "steps", "size")
-    for path in sorted(root.rglob("data/metadata.json")):
-        name = path.parents[1].relative_to(root).as_posix()
-        if any(part.startswith(".") for part in name.split("/")):
-            continue
+    rows = []
+    for one in stored_ids():
         try:
-            manifest = read_manifest(parse_id(name))
+            manifest = read_manifest(one)
         except CudcBenchError:
             continue
-        size = sum(file.stat().st_size for file in path.parents[1].rglob("*") if file.is_file())
-        columns = (
-            name,
-            manifest.label,
-            manifest.task or "–",
-            manifest.profile,
-            str(manifest.seed),
-            f"{manifest.steps:,}",
+        size = sum(file.stat().st_size for file in dataset_path(one).rglob("*") if file.is_file())
+        rows.append(
+            (
+                str(one),
+                manifest.label,
+                manifest.task or "–",
+                manifest.profile,
+                str(manifest.seed),
+                f"{manifest.steps:,}",
+                f"{size / 1e6:,.1f} MB",
+                ", ".join(manifest.notes),
+            )
         )
-        table.add_row(*(escape(column) for column in columns), f"{size / 1e6:,.1f} MB")
+    # Most datasets have nothing to note, and a terminal has no room for an empty column.
+    columns = ("id", "method", "task", "profile", "seed", "steps", "size", *(["notes"] if any(row[-1] for row in rows) else []))
+    table = _table(f"Datasets in {root}", *columns)
+    # The widest table: without lines and padding an id is in two lines of a narrow terminal, not in four.
+    table.box, table.collapse_padding = box.SIMPLE_HEAD, True
+    for row in rows:
+        table.add_row(*(escape(text) for text in row[: len(columns)]))
     return table

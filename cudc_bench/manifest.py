@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root
+from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 
 KEY = "cudc_bench"
+# A schedule of k is suspect if k first grew before the one, or went from there to its bound within the other; environment steps.
+STARTS_TOO_EARLY, ENDS_TOO_EARLY = 50_000, 100_000
+_LARGEST_STEP = 10**12  # beyond any collection
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
 Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -69,6 +73,52 @@ class Import(BaseModel):
     ignored: list[str] = []
 
 
+class Growth(NamedTuple):
+    """One growth of the temporal distance k while a dataset was collected; ``step`` counts environment steps."""
+
+    step: int
+    old_k: int
+    new_k: int
+
+    def __str__(self) -> str:
+        return f"{self.old_k}→{self.new_k} at {self.step:,}"
+
+
+class Pilot(BaseModel):
+    """A threshold that a method needed, and the pilot run that measured it (see ``cudc_bench.collectors.pilot``).
+
+    Attributes:
+        name, value: of the hyperparameter.
+        method, domain, profile, overrides: what was run.
+        key: hash of the settings for which the value holds; the length of the run and what has no effect in a pilot are left out.
+        quantile: the value is this quantile of the medians of the minibatches of ``updates`` updates.
+        seed, first_step, last_step: of the run, and the environment steps between which these updates happened.
+        versions, commit, dirty, machine, seconds, created, command: provenance.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    value: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    method: str
+    domain: str
+    profile: str
+    overrides: dict[str, Any] = {}
+    key: str
+    quantile: float
+    updates: int
+    seed: int
+    first_step: int
+    last_step: int
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    seconds: float
+    created: str
+    command: str
+
+
 class Manifest(BaseModel):
     """What a dataset is.
 
@@ -83,8 +133,9 @@ class Manifest(BaseModel):
         fields: SHA-256 of each field; ``fingerprint``: of all of them.
         base: of a relabelled dataset.
         reward: the user's function that labelled it, for a task that is none of the domain's own.
+        pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
         imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
-        diagnostics: the last line of the collection's diagnostics and the method's own summary.
+        diagnostics: the last line of the collection's diagnostics and the method's own summary; a relabelled dataset has its base's.
         versions, commit, dirty, machine, seconds, created, command: provenance.
     """
 
@@ -106,6 +157,7 @@ class Manifest(BaseModel):
     fingerprint: _Sha256
     base: Base | None = None
     reward: RewardFunction | None = None
+    pilot: Pilot | None = None
     imported: Import | None = None
     diagnostics: dict[str, Any] = {}
     versions: dict[str, str]
@@ -125,6 +177,29 @@ class Manifest(BaseModel):
     def has_episode_seeds(self) -> bool:
         """Whether each episode's seed is known and stored, so that resetting with it gives the episode's first observation."""
         return self.imported is None
+
+    @property
+    def k_growth(self) -> list[Growth]:
+        """Every growth of k in the order of the method's summary; empty for methods that tell of none. What is malformed is left out."""
+        told = self.diagnostics.get("k_increments")
+        rows = [row for row in told if isinstance(row, dict)] if isinstance(told, list) else []
+        found = [Growth(*(cast(int, row.get(name)) for name in Growth._fields)) for row in rows]
+        return [one for one in found if all(type(value) is int and 0 <= value < _LARGEST_STEP for value in one)]
+
+    @property
+    def k_grew(self) -> str:
+        """The growth of k for people: ``"3→4 at 84,000, 4→5 at 120,008"``; empty where there is none."""
+        return ", ".join(map(str, self.k_growth))
+
+    @property
+    def has_suspect_schedule(self) -> bool:
+        """Whether the method itself found that k grew too early or too fast to mean anything."""
+        return self.diagnostics.get("k_schedule_suspect") is True
+
+    @property
+    def notes(self) -> list[str]:
+        """What whoever picks a dataset from a list should know of it, in a few words each."""
+        return ["k schedule suspect"] if self.has_suspect_schedule else []
 
     def describe(self) -> str:
         """What is there, in a few words, for messages: method, profile or source, seed, steps."""
@@ -164,6 +239,18 @@ def metadata_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path
 def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
     """Whether anything stands at that id, ours or not."""
     return dataset_path(dataset_id, root).exists()
+
+
+def stored_ids(root: Path | None = None) -> list[DatasetId]:
+    """The ids of all complete datasets below the root in the order of their names, ours or not, whether they can be read or not."""
+    root = root or datasets_root()
+    found = []
+    for path in sorted(root.rglob("data/metadata.json")):
+        name = path.parents[1].relative_to(root).as_posix()
+        # What has no id cannot be asked for; what begins with a dot is still being built.
+        with suppress(UsageError):
+            found.append(parse_id(name))
+    return found
 
 
 def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict[str, Any]:

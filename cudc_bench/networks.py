@@ -245,7 +245,8 @@ def make_target(online: ModuleT, target: ModuleT) -> ModuleT:
 @torch.no_grad()
 def soft_update(online: nn.Module, target: nn.Module, tau: float) -> None:
     """target <- (1 - tau) target + tau online, for every parameter."""
-    torch._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
+    if any(True for _ in target.parameters()):
+        torch._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
 
 
 def noisy_action(mean: Tensor, noise: Tensor, std: float, clip: float | None) -> Tensor:

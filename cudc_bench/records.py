@@ -7,6 +7,7 @@ makes it again. The schema is versioned; unknown fields and numbers that are not
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -140,8 +141,7 @@ class Record(_Strict):
             changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
             if overrides:
-                # As JSON, in which no two values look alike.
-                changes.append(f"{stage}: " + ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides)))
+                changes.append(f"{stage}: {settings_text(overrides)}")
         return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
 
     def score(self, milestone: int) -> float | None:
@@ -152,6 +152,11 @@ class Record(_Strict):
         if milestone == self.final.step:
             return self.final.mean
         return next((evaluation.mean for evaluation in self.curve if evaluation.step == milestone), None)
+
+
+def settings_text(overrides: Mapping[str, Any]) -> str:
+    """Settings that differ from a profile, by name: ``"gamma=0.9, steps=5"``; as JSON, in which no two values look alike."""
+    return ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides))
 
 
 def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profile: str) -> Path:

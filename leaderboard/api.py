@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cudc_bench.errors import RunError, UsageError, nearest
-from cudc_bench.files import write_atomically
+from cudc_bench.errors import UsageError
 from cudc_bench.options import check_folder
-from cudc_bench.records import Record
 
 from .figures import curve_files
+from .files import only, write_files
 from .load import Loaded, load_records
 from .render import to_csv, to_latex, to_markdown
 from .table import Table, build_tables
@@ -57,11 +56,11 @@ def make_leaderboard(
     folder = None if output is None else check_folder(output, "output")
     loaded = _load(paths)
     records = loaded.records
-    records = _only(records, "profile", profile, lambda record: record.profile)
-    records = _only(records, "domain", domain, lambda record: record.dataset.domain)
-    records = _only(records, "algo", algo, lambda record: record.algorithm)
+    records = only(records, "record", "profile", profile, lambda record: record.profile)
+    records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
+    records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     tables, problems = build_tables(records)
-    files = [] if folder is None else [file for table in tables for file in _write_table(folder / table.slug, table)]
+    files = [] if folder is None else [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
     return Report(tables, [*loaded.problems, *problems], files)
 
 
@@ -79,24 +78,5 @@ def _load(paths: Sequence[Path]) -> Loaded:
     return loaded
 
 
-def _only(records: tuple[Record, ...], what: str, wanted: str | None, key: Callable[[Record], str]) -> tuple[Record, ...]:
-    kept = tuple(record for record in records if wanted is None or key(record) == wanted)
-    if wanted is not None and not kept:
-        exist = sorted({key(record) for record in records})
-        raise UsageError(f"no record has the {what} '{wanted}'; there are: {', '.join(exist)}.{nearest(wanted, exist)}")
-    return kept
-
-
-def _write_table(folder: Path, table: Table) -> list[Path]:
-    contents: dict[str, str | bytes] = {
-        "table.md": to_markdown(table),
-        "table.tex": to_latex(table),
-        "table.csv": to_csv(table),
-        **curve_files(table),
-    }
-    try:
-        for name, content in contents.items():
-            write_atomically(folder / name, content)
-    except OSError as error:
-        raise RunError(f"cannot write {error.filename or folder}: {error.strerror}.") from None
-    return [folder / name for name in contents]
+def _contents(table: Table) -> dict[str, str | bytes]:
+    return {"table.md": to_markdown(table), "table.tex": to_latex(table), "table.csv": to_csv(table), **curve_files(table)}

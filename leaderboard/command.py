@@ -1,4 +1,4 @@
-"""``cudc-bench leaderboard``."""
+"""``cudc-bench leaderboard`` and ``cudc-bench diagnostics``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from cudc_bench.errors import UsageError
+from cudc_bench.options import parse_names
 
 
 def leaderboard(
@@ -30,5 +33,33 @@ def leaderboard(
         screen.print()
     for problem in report.problems:
         say(f"problem: {problem}")
+    for file in report.files:
+        typer.echo(file)
+
+
+def diagnostics(
+    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all that were collected.")] = None,
+    output: Annotated[Path, typer.Option("--output", help="Folder for figures.")] = Path("report"),
+    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
+    method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
+) -> None:
+    """Draw how k and the losses of collectors went."""
+    from rich.console import Console
+
+    from cudc_bench.progress import say
+
+    from .diagnostics import draw_diagnostics
+    from .render import diagnostics_to_rich
+
+    methods = None if method is None else parse_names(method)
+    if methods == ():
+        raise UsageError("--method is empty; leave it out for all.")
+    report = draw_diagnostics(dataset_ids or None, output, domain, methods)
+    screen = Console(highlight=False)
+    for comparison in report.comparisons:
+        screen.print(diagnostics_to_rich(comparison))
+        screen.print()
+    for remark in report.remarks:
+        say(f"note: {remark}")
     for file in report.files:
         typer.echo(file)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import ceil
 from statistics import fmean, stdev
 from textwrap import wrap
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 COLOURS = {
     "random": "#7F7F7F", "icm": "#56B4E9", "apt": "#009E73", "proto": "#CC79A7", "aps": "#E69F00", "cudc": "#D55E00",
 }  # fmt: skip
-_OTHER_COLOURS = ("#0072B2", "#000000", "#8C6D1F")
-_OTHER_DASHES = ("--", "-.", ":")
+_OTHER_COLOURS = ("#0072B2", "#000000", "#8C6D1F", "#882255", "#117733", "#7B5FD0")
+_OTHER_DASHES = ("--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)), "-")
 _COLUMNS = 4
 _STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "cudc-bench", "pdf.fonttype": 42, "text.parse_math": False,
@@ -35,15 +35,20 @@ _STYLE = {
 
 
 def curve_files(table: Table) -> dict[str, bytes]:
-    """``curves.svg``, whose text stays text, and ``curves.pdf``; neither holds a date."""
+    """``curves.svg`` and ``curves.pdf``, as :func:`figure_files` makes them."""
+    return figure_files("curves", lambda: draw_curves(table))
+
+
+def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
+    """``<name>.svg``, whose text stays text, and ``<name>.pdf`` of the figure that ``draw`` returns; neither holds a date."""
     from matplotlib import style
 
     # The user's own matplotlib settings must not change the figure.
     with style.context(_STYLE, after_reset=True):
-        figure = draw_curves(table)
+        figure = draw()
         return {
-            "curves.svg": _saved(figure, "svg", {"Date": None}),
-            "curves.pdf": _saved(figure, "pdf", {"CreationDate": None}),
+            f"{name}.svg": _saved(figure, "svg", {"Date": None}),
+            f"{name}.pdf": _saved(figure, "pdf", {"CreationDate": None}),
         }
 
 
@@ -53,30 +58,50 @@ def draw_curves(table: Table) -> Figure:
     A line is the mean over collector seeds with a band of ± one sample standard deviation; a single seed is a thin line. Vertical
     dotted lines mark the milestones. The value after the last step is that of the final, larger evaluation, as in tables.
     """
+    tasks = [task for task in table.tasks if any(record.dataset.task == task for record in table.records)]
+    what = f"{seeds_text(table.seeds)}, dotted: milestones"
+    title = f"{table.algorithm} on {table.domain}, profile {table.group}: {what}"
+    figure, panels = framed(title, looks(table.methods), len(tasks), _COLUMNS, sharey=True)
+    for index, (panel, task) in enumerate(zip(panels, tasks, strict=True)):
+        _draw_panel(panel, table, task)
+        if index % _COLUMNS == 0:
+            panel.set_ylabel("return")
+    return figure
+
+
+def framed(
+    title: str, methods: Mapping[str, dict[str, Any]], panels: int, columns: int, *, sharey: bool = False, height: float = 2.1
+) -> tuple[Figure, list[Axes]]:
+    """A figure of empty panels with a title above and the legend below, and the panels in reading order.
+
+    Args:
+        title: wrapped where it is too long.
+        methods: the entries of the legend: names and their :func:`looks`.
+        panels: how many; ``columns``: at most so many beside each other.
+        sharey: one vertical axis for all.
+        height: of a row of panels, in inches.
+    """
     from matplotlib.figure import Figure
 
-    tasks = [task for task in table.tasks if any(record.dataset.task == task for record in table.records)]
-    columns = min(len(tasks), _COLUMNS)
-    rows = ceil(len(tasks) / columns)
+    columns = min(panels, columns)
+    rows = ceil(panels / columns)
     width = max(2.4 * columns + 0.4, 5.2)
-    bands = "" if table.seeds == "1 seed" else "mean, band: ± sample standard deviation, "
-    what = f"{table.seeds}, {bands}dotted: milestones"
-    title = wrap(f"{table.algorithm} on {table.domain}, profile {table.group}: {what}", int(width * 13))
+    lines = wrap(title, int(width * 13))
     # Points that an entry of the legend takes: its line and gaps, then about 5.5 for each letter.
-    entries = max(1, int(width * 72 / (45 + 5.5 * max(map(len, table.methods)))))
-    lines = len(title) + ceil(len(table.methods) / entries)
-    figure = Figure(figsize=(width, 2.1 * rows + 0.2 * lines + 0.6))
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for panel, task in zip(axes.flat, tasks, strict=False):
-        _draw_panel(panel, table, task)
-    for panel in axes.flat[len(tasks) :]:
+    entries = max(1, int(width * 72 / (45 + 5.5 * max(map(len, methods)))))
+    figure = Figure(figsize=(width, height * rows + 0.2 * (len(lines) + ceil(len(methods) / entries)) + 0.6))
+    axes = list(figure.subplots(rows, columns, squeeze=False, sharey=sharey).flat)
+    for panel in axes[panels:]:
         panel.set_visible(False)
-    for panel in axes[:, 0]:
-        panel.set_ylabel("return")
-    figure.suptitle("\n".join(title), fontsize=9)
-    handles = [_handle(method, look) for method, look in looks(table.methods).items()]
+    figure.suptitle("\n".join(lines), fontsize=9)
+    handles = [_handle(method, look) for method, look in methods.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=entries, frameon=False)
-    return figure
+    return figure, axes[:panels]
+
+
+def seeds_text(seeds: str) -> str:
+    """What lines and bands are, for a title: ``"1 seed"``, or ``"3 seeds, mean, band: ± sample standard deviation"``."""
+    return seeds if seeds == "1 seed" else f"{seeds}, mean, band: ± sample standard deviation"
 
 
 def looks(methods: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -103,26 +128,51 @@ def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float
     return steps, [fmean(values) for values in scores], [stdev(values) for values in scores] if several else None
 
 
-def _draw_panel(panel: Axes, table: Table, task: str) -> None:
+def draw_line(
+    panel: Axes, steps: Sequence[int], means: Sequence[float], stds: Sequence[float] | None, look: Mapping[str, Any], *,
+    stairs: bool = False, clip: bool = False,
+) -> None:  # fmt: skip
+    """A method's line and its band of ± one standard deviation; without one a thin line.
+
+    Args:
+        panel: where to.
+        steps, means, stds: as :func:`curve` returns them.
+        look: one of :func:`looks`.
+        stairs: hold each value until the next.
+        clip: hide what is outside the panel; otherwise a line on its edge keeps its full width.
+    """
+    panel.plot(steps, means, linewidth=line_width(stds), clip_on=clip, drawstyle="steps-post" if stairs else "default", **look)
+    if stds is not None:
+        low = [mean - std for mean, std in zip(means, stds, strict=True)]
+        high = [mean + std for mean, std in zip(means, stds, strict=True)]
+        panel.fill_between(steps, low, high, color=look["color"], alpha=0.15, linewidth=0, step="post" if stairs else None)
+
+
+def line_width(stds: Sequence[float] | None) -> float:
+    """The width of a line in points: thin where it is of a single seed."""
+    return 0.8 if stds is None else 1.6
+
+
+def steps_axis(panel: Axes, what: str, steps: Iterable[int]) -> None:
+    """The horizontal axis of everything that is measured over steps, from 0 to the largest of ``steps``."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+    panel.set_xlabel(what)
+    panel.set_xlim(0, max(steps))
+    panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
+
+
+def _draw_panel(panel: Axes, table: Table, task: str) -> None:
     for section in table.sections:
         panel.axvline(section.milestone, color="#B0B0B0", linewidth=0.8, linestyle=":", zorder=0)
     for method, look in looks(table.methods).items():
         records = [r for r in table.records if (r.dataset.task, column(r)) == (task, method)]
         if not records:
             continue
-        steps, means, stds = curve(records)
-        panel.plot(steps, means, linewidth=0.8 if stds is None else 1.6, clip_on=False, **look)
-        if stds is not None:
-            low = [mean - std for mean, std in zip(means, stds, strict=True)]
-            high = [mean + std for mean, std in zip(means, stds, strict=True)]
-            panel.fill_between(steps, low, high, color=look["color"], alpha=0.15, linewidth=0)
+        draw_line(panel, *curve(records), look)
     panel.set_title(task)
-    panel.set_xlabel("gradient steps")
-    panel.set_xlim(0, max(record.final.step for record in table.records))
-    panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
+    steps_axis(panel, "gradient steps", (record.final.step for record in table.records))
     if table.domain in DOMAINS and table.tasks == DOMAINS[table.domain].tasks:
         panel.set_ylim(0, DOMAINS[table.domain].max_return)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cudc_bench.markup import escape_markdown, plain, templates
 
+from .diagnostics import Comparison
 from .load import short
 from .table import Cell, Table
 
@@ -72,6 +73,30 @@ def to_rich(table: Table) -> Group:
         shown.add_section()
     title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
     return Group(title, shown, Text(table.caption, style="dim"))
+
+
+def diagnostics_to_rich(comparison: Comparison) -> Group:
+    """For a terminal: a line for each dataset, with k at the end, when it grew, whether that is suspect, and the last coverage."""
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy"):
+        shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
+    for run in comparison.runs:
+        cells, entropy = run.last("coverage_cells"), run.last("coverage_entropy")
+        # Only methods whose k can grow tell whether its schedule is suspect.
+        adapts = "k_schedule_suspect" in run.manifest.diagnostics
+        row = (
+            plain(run.manifest.method), str(run.manifest.seed), f"{run.manifest.steps:,}", "" if run.k is None else f"{run.k:g}",
+            "\n".join(map(str, run.manifest.k_growth)),
+            ("yes" if run.manifest.has_suspect_schedule else "no") if adapts else "",
+            "" if cells is None else f"{cells:,.0f}", "" if entropy is None else f"{entropy:.2f}",
+        )  # fmt: skip
+        shown.add_row(*(Text(cell or "–") for cell in row))
+    return Group(Text(f"{comparison.domain}, profile {comparison.group}", style="bold"), shown)
 
 
 def escape_latex(text: str) -> str:

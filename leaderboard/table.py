@@ -11,9 +11,10 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import fmean, stdev
+from typing import Any
 
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.ids import domain_slug
@@ -23,7 +24,8 @@ from .load import column, evaluation_at, plain, short
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
 ENOUGH_SEEDS = 5
-_NAME = re.compile(r"[a-z0-9_-]+")
+_NAME = re.compile(r"[a-z0-9_-]{1,200}")
+_DOMAIN = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,7 @@ class Table:
     @property
     def seeds(self) -> str:
         """How many collector seeds are behind a cell, such as ``"5 seeds"`` or ``"1 to 3 seeds"``."""
-        counts = [cell.n for cell in self.cells] or [0]
-        return f"{_span(min(counts), max(counts))} {'seed' if max(counts) == 1 else 'seeds'}"
+        return span([cell.n for cell in self.cells] or [0], "seed")
 
     @property
     def commands(self) -> list[str]:
@@ -167,17 +168,27 @@ def _doubts(records: Sequence[Record]) -> list[str]:
         for milestone in _milestones(record)
         if record.score(milestone) is None
     ]
-    first = records[0].hyperparameters
-    if any(record.hyperparameters != first for record in records):
-        names = {n for r in records for n in first.keys() | r.hyperparameters if first.get(n) != r.hyperparameters.get(n)}
-        problems.append(plain(f"its records were trained with different hyperparameters: {', '.join(sorted(names))}."))
+    if names := differing([record.hyperparameters for record in records]):
+        problems.append(plain(f"its records were trained with different hyperparameters: {', '.join(names)}."))
     return problems
 
 
+def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The names whose values are not the same in all of some settings, sorted; a name that is missing from one of them counts."""
+    first = settings[0]
+    return sorted({name for one in settings for name in first.keys() | one.keys() if name not in one or first.get(name) != one[name]})
+
+
+def span(counts: Iterable[int], what: str) -> str:
+    """Some numbers of things: ``"5 seeds"``, ``"1 to 3 seeds"``."""
+    low, high = min(counts := list(counts)), max(counts)
+    return f"{_span(low, high)} {what if high == 1 else f'{what}s'}"
+
+
 def _build(group: str, algorithm: str, domain: str, records: Sequence[Record]) -> Table:
-    methods = _ordered({column(record) for record in records}, METHOD_ORDER)
+    methods = ordered({column(record) for record in records}, METHOD_ORDER)
     known = DOMAINS[domain].tasks if domain in DOMAINS else ()
-    tasks = _ordered({*known, *(record.dataset.task for record in records)}, known)
+    tasks = ordered({*known, *(record.dataset.task for record in records)}, known)
     cells: dict[tuple[str, str], list[Record]] = defaultdict(list)
     for record in records:
         cells[record.dataset.task, column(record)].append(record)
@@ -187,7 +198,7 @@ def _build(group: str, algorithm: str, domain: str, records: Sequence[Record]) -
         evaluations = [evaluation_at(record, milestone) for record in records]
         episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
         sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
-    return Table(plain(group), algorithm, domain, _slug(group, algorithm, domain), methods, tuple(sections), tuple(records))
+    return Table(plain(group), algorithm, domain, slug(group, algorithm, domain), methods, tuple(sections), tuple(records))
 
 
 def _cell(records: Sequence[Record], milestone: int) -> Cell | None:
@@ -202,17 +213,23 @@ def _best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
     return tuple(cell and replace(cell, best=round(cell.mean) == max(means)) for cell in cells)
 
 
-def _ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
+def ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
+    """Names in the order of ``first``, then those that are not in it by the alphabet."""
     return tuple(sorted(names, key=lambda name: (first.index(name) if name in first else len(first), name)))
 
 
-def _slug(group: str, algorithm: str, domain: str) -> str:
-    if not _NAME.fullmatch(group):
-        # Different settings may look alike once their punctuation is gone; the digest keeps them apart.
-        readable = re.sub(r"[^a-z0-9]+", "-", group.lower())[:60].strip("-")
-        group = f"{readable}-{hashlib.sha256(group.encode()).hexdigest()[:8]}"
+def slug(group: str, algorithm: str, domain: str) -> str:
+    """A safe and unique name for the files of a group on a domain; ``algorithm`` is a name without a dot."""
     # Neither group nor algorithm has a dot, so different triples cannot give one slug.
-    return f"{group}.{algorithm}.{domain_slug(domain)}"
+    return f"{_word(group, _NAME)}.{algorithm}.{_word(domain_slug(domain), _DOMAIN)}"
+
+
+def _word(text: str, allowed: re.Pattern[str]) -> str:
+    if allowed.fullmatch(text):
+        return text
+    # Different texts may look alike once their punctuation is gone; the digest keeps them apart.
+    readable = re.sub(r"[^a-z0-9]+", "-", text.lower())[:60].strip("-")
+    return f"{readable}-{hashlib.sha256(text.encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
 
 
 def _milestones(record: Record) -> tuple[int, ...]:

@@ -42,6 +42,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
     """The test's own Minari root, which does not exist yet."""
     root = tmp_path_factory.mktemp("minari") / "datasets"
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    monkeypatch.setenv("CUDC_BENCH_THRESHOLDS", str(root.with_name("thresholds.json")))
     monkeypatch.delenv("CUDC_BENCH_PROFILE", raising=False)
     return root
 

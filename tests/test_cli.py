@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import subprocess
 import sys
@@ -16,17 +17,17 @@ import pytest
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.cli import main
-from cudc_bench.manifest import read_manifest
+from cudc_bench.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.records import read_record
 
 from .conftest import Finished
 
 TASKS = ("stand", "walk", "run", "flip")
-COMMANDS = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "verify", "list", "doctor")
+COMMANDS = ("collect", "import-exorl", "relabel", "evaluate", "leaderboard", "diagnostics", "verify", "list", "doctor")
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.
 REFUSALS = {
-    "collect --method cudk": "unknown method 'cudk'; allowed: aps, apt, be, cic, cudc, ",
+    "collect --method cudk": "unknown method 'cudk'; allowed: aps, apt, ",
     "collect --method cudx": ". Did you mean 'cudc'?",
     "collect --method": "'--method' requires an argument",
     "collect --method ,": "--method is empty",
@@ -74,6 +75,13 @@ REFUSALS = {
     "evaluate --dataset-id ../evil-v0": "'../evil-v0' is not a dataset id",
     "evaluate --method random --workers 0": "--workers takes 1 or more, not 0.",
     "leaderboard nowhere": "there are no results at 'nowhere'",
+    "diagnostics walker/walk/cudc-v0": "is labelled for walk; the diagnostics are those of its base 'walker/cudc-v0'.",
+    "diagnostics walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
+    "diagnostics ../evil-v0": "'../evil-v0' is not a dataset id",
+    "diagnostics --domain wlaker": "no dataset has the domain 'wlaker'; there are: walker. Did you mean 'walker'?",
+    "diagnostics --method cudc,random": "no dataset has the method 'random'; there are: cudc.",
+    "diagnostics --method ,": "--method is empty",
+    "diagnostics --output /dev/null/below": "output '/dev/null/below' cannot be a folder: '/dev/null' is a file.",
     "verify": "Missing argument",
     "verify walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
     "verify ../evil-v0": "'../evil-v0' is not a dataset id",
@@ -325,6 +333,31 @@ def test_list_shows_what_can_be_used_and_what_exists(cli: Callable, smoke: Path)
         assert "3,000" in line
     assert "building" not in done.out
     assert "Records in results: 0" in done.out
+
+
+def test_list_and_cards_tell_of_a_suspect_schedule(here: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    # Nothing to note, no column.
+    assert "notes" not in here(["list"]).out
+    path = metadata_path("walker/cudc-v0")
+    metadata = json.loads(path.read_text())
+    increments = [{"step": 1200 + 400 * k, "old_k": k, "new_k": k + 1, "p": 0.6, "mean_w": 0.1} for k in (3, 4)]
+    metadata[KEY]["diagnostics"] |= {"k_increments": increments, "k_schedule_suspect": True}
+    path.write_text(json.dumps(metadata))
+    # A dataset relabelled from it says so, too; one from before does not.
+    cudc_bench.relabel("walker/cudc-v0", tasks=["walk"], overwrite=True)
+    listed = here(["list"]).out
+    noted = {
+        one: "k schedule suspect" in line for one in ("cudc", "walk/cudc", "run/cudc") for line in lines_with(listed, f"walker/{one}-v0")
+    }
+    assert noted == {"cudc": True, "walk/cudc": True, "run/cudc": False}
+    card = (smoke / "walker/walk/cudc-v0/README.md").read_text()
+    assert "k grew before 50,000 environment steps" in card
+    assert "3→4 at 2,400, 4→5 at 2,800" in card
+
+
+def lines_with(text: str, word: str) -> list[str]:
+    return [line for line in text.splitlines() if word in line.split()]
 
 
 def test_list_works_where_nothing_exists(here: Callable, datasets: Path) -> None:

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
 from cudc_bench.envs.domains import Domain, domain_title
-from cudc_bench.manifest import Manifest
+from cudc_bench.manifest import ENDS_TOO_EARLY, STARTS_TOO_EARLY, Manifest
 from cudc_bench.markup import escape_markdown, plain, templates
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"), (10**8, "10M<n<100M"))
@@ -74,8 +74,10 @@ def _facts(manifest: Manifest) -> list[tuple[str, str]]:
         "method": manifest.label,
         "seed": str(manifest.seed),
         "steps": f"{manifest.steps:,} in {manifest.episodes:,} episodes",
+        "k grew": manifest.k_grew,
         "profile": manifest.profile,
         "settings that differ": ", ".join(f"{name}={_value(value)}" for name, value in sorted(manifest.overrides.items())),
+        "threshold": _threshold(manifest),
         "made from": "" if manifest.base is None else f"{manifest.base.id} ({'linked' if manifest.base.linked else 'copied'})",
         "made": f"{manifest.created}, in {manifest.seconds:,.0f} seconds, on {manifest.machine.get('processor', 'an unknown processor')}",
         "commit": f"{manifest.commit or ''}{' with local changes' if manifest.dirty else ''}",
@@ -122,6 +124,12 @@ def _caveats(manifest: Manifest) -> list[str]:
         found.append("The seeds of its episodes are not known: they cannot be repeated from their resets, only step by step.")
     elif manifest.profile != "paper":
         found.append(f"It was collected at profile {manifest.profile}, which is smaller than the paper's setting.")
+    if manifest.has_suspect_schedule:
+        found.append(
+            f"Its schedule of k is suspect: k grew before {STARTS_TOO_EARLY:,} environment steps, or reached its bound within "
+            f"{ENDS_TOO_EARLY:,} steps of its first growth{f' ({manifest.k_grew})' if manifest.k_grew else ''}. A schedule this early says "
+            "more about the thresholds than about what was reachable."
+        )
     found += [
         "It is one seed of one method; differences between methods need several seeds.",
         "The numbers on coverage compare datasets of one domain, not of different ones, and say nothing about any task.",
@@ -129,6 +137,11 @@ def _caveats(manifest: Manifest) -> list[str]:
         "but not over their whole length.",
     ]
     return found
+
+
+def _threshold(manifest: Manifest) -> str:
+    pilot = manifest.pilot
+    return "" if pilot is None else f"{pilot.name} = {pilot.value:.6g}, measured by a pilot: {pilot.command}"
 
 
 def _value(value: Any) -> str:

@@ -7,9 +7,12 @@ from cudc_bench import plugins
 from cudc_bench.collectors.contract import CollectorContract
 from cudc_bench.collectors.rnd import RND
 
+# Two names for one class need the battery once.
+NAMES = list({plugins.load("collectors", name): name for name in reversed(plugins.names("collectors"))}.values())
+
 
 class TestCollectors(CollectorContract):
-    @pytest.fixture(params=plugins.names("collectors"))
+    @pytest.fixture(params=NAMES)
     def name(self, request):
         return request.param
 

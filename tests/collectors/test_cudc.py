@@ -74,7 +74,7 @@ def by_hand(c, batch, k):
         "surprise": surprise.mean(),
         "w_mean": w.mean(),
         "p": (w < config.c_w).mean(),
-        "w_clipped": (w < config.clip_low).mean(),
+        "w_clipped": ((w / w.mean() if config.weight_mode == "mean_normalised" else w) < config.clip_low).mean(),
         "retrieved": (scores.argmax(-1) == np.arange(size)).mean(),
         "action_norm": np.linalg.norm(az, axis=-1).mean(),
         "step_norm": np.linalg.norm(z_next - z, axis=-1).mean(),

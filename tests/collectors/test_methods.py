@@ -286,9 +286,9 @@ def test_smm(sign):
     smm = after_some_updates("smm", discriminator_weight=sign)
     batch = batch_for(smm, seed=9)
     s, _, _, z = arrays(batch)
-    state = smm._noise_random.state_dict()
-    noise = smm._noise_random.normal(SIZE, 128)[0].numpy().astype(np.float64)
-    smm._noise_random.load_state_dict(state)
+    state = smm.random["noise"].state_dict()
+    noise = smm.random["noise"].normal(SIZE, 128)[0].numpy().astype(np.float64)
+    smm.random["noise"].load_state_dict(state)
     seen = np.concatenate([s, z], -1)
     mean, log_variance = np.split(relu_layers(smm.encoder, seen), 2, axis=-1)
     squared = (seen - relu_layers(smm.decoder, mean + np.exp(log_variance / 2) * noise)) ** 2

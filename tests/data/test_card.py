@@ -17,7 +17,7 @@ from cudc_bench.data.card import render_card
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.statistics import measure_coverage, reward_statistics
 from cudc_bench.data.writer import MAIN_FILE
-from cudc_bench.manifest import Base, read_manifest
+from cudc_bench.manifest import ENDS_TOO_EARLY, STARTS_TOO_EARLY, Base, Manifest, read_manifest
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 
@@ -113,6 +113,46 @@ def test_the_card_follows_from_the_manifest_and_the_arrays(smoke: Path) -> None:
     description = minari.load_dataset(BASE).storage.metadata["description"]
     again = render_card(manifest, BASE, description, reward_statistics(file, manifest), measure_coverage(file, manifest))
     assert again == card(smoke, BASE)
+
+
+def with_schedule(manifest: Manifest, steps: list[int], suspect: bool) -> Manifest:
+    """The manifest of a collection in which k grew at those steps."""
+    increments = [{"step": step, "old_k": 3 + row, "new_k": 4 + row, "p": 0.6, "mean_w": 0.1} for row, step in enumerate(steps)]
+    return manifest.model_copy(update={"diagnostics": {"k_increments": increments, "k_schedule_suspect": suspect}})
+
+
+@pytest.mark.parametrize("one", [BASE, WALK])
+@pytest.mark.parametrize(("steps", "suspect"), [([84_000, 120_008], False), ([30_000, 84_000], True), ([], False)])
+def test_when_k_grew_and_whether_that_is_suspect(one: str, steps: list[int], suspect: bool, smoke: Path) -> None:
+    manifest = read_manifest(one)
+    file = smoke / one / "data" / MAIN_FILE
+    statistics = reward_statistics(file, manifest), measure_coverage(file, manifest)
+    text = render_card(with_schedule(manifest, steps, suspect), one, "words", *statistics)
+    growth = ", ".join(f"{3 + row}→{4 + row} at {step:,}" for row, step in enumerate(steps))
+    assert cells(text).get("k grew") == ([growth] if growth else None)
+    (caveats,) = re.findall(r"## Caveats\n\n(.*?)\n\n##", text, re.DOTALL)
+    found = [line for line in caveats.splitlines() if "suspect" in line]
+    assert len(found) == suspect
+    if suspect:
+        assert f"k grew before {STARTS_TOO_EARLY:,} environment steps, or reached its bound within {ENDS_TOO_EARLY:,} steps" in found[0]
+        assert f"({growth})" in found[0].replace("\\", "")
+
+
+@pytest.mark.parametrize(
+    "diagnostics",
+    [
+        {"k_increments": "x", "k_schedule_suspect": "yes"},
+        {"k_increments": [1, None, {}, {"step": "<b>", "old_k": 3, "new_k": 4}, {"step": True, "old_k": 3, "new_k": 4}]},
+        {"k_increments": {"step": 1}, "k_schedule_suspect": 1},
+        {"k_increments": [{"step": 10**30, "old_k": 3, "new_k": 4}, {"step": -1, "old_k": 3, "new_k": 4}]},
+    ],
+)
+def test_malformed_schedules_are_none(diagnostics: dict[str, object], smoke: Path) -> None:
+    manifest = read_manifest(BASE).model_copy(update={"diagnostics": diagnostics})
+    assert (manifest.k_growth, manifest.k_grew, manifest.notes) == ([], "", [])
+    file = smoke / BASE / "data" / MAIN_FILE
+    text = render_card(manifest, BASE, "words", reward_statistics(file, manifest), measure_coverage(file, manifest))
+    assert "k grew" not in text
 
 
 HOSTILE = [
