@@ -13,7 +13,7 @@ from benchmarks.measure import Row, fastest, fastest_interleaved
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
-from cudc_bench.evaluators.td3 import TD3, TD3Config
+from cudc_bench.evaluators.base import Evaluator
 from cudc_bench.parallel import cores
 from cudc_bench.replay import Batch
 
@@ -38,48 +38,66 @@ def peak(size: int = 1024) -> float:
 
 # At most so many times plain DDPG's time. By operations alone: 1.03, 1.4, 1.3, 1.45, 1.1, 1.05 and 1.9.
 RATIOS = {"icm": 1.2, "rnd": 1.6, "aps": 1.4, "apt": 1.7, "proto": 1.4, "disagreement": 1.4, "cudc": 2.2}
-SHARES = {"DDPG": 0.70, "cudc": 0.60}
+SHARES = {"DDPG": 0.70, "cudc": 0.60, "td3": 0.70}
 
 
-def batch_for(agent: Any) -> Batch:
-    """Random transitions of Walker's sizes, with skills for a method that has some."""
-    observation, action, following = (torch.rand(1, SIZE, size) * 2 - 1 for size in (24, 6, 24))
+def batch_for(agent: Any, size: int = SIZE) -> Batch:
+    """Random transitions of Walker's sizes, with all that a method may ask for."""
+    observation, action, following, next_action = (torch.rand(1, size, width) * 2 - 1 for width in (24, 6, 24, 6))
     skill = None
     if getattr(agent, "skill_size", 0):
-        skill = agent.next_skill(0)[:, None].expand(-1, SIZE, -1).contiguous()
-    horizon = torch.tensor([1 if isinstance(agent, TD3) else 3])
-    return Batch(observation, action, following, horizon, torch.rand(1, SIZE), skill=skill)
+        skill = agent.next_skill(0)[:, None].expand(-1, size, -1).contiguous()
+    horizon = torch.tensor([1 if isinstance(agent, Evaluator) else 3])
+    return Batch(observation, action, following, horizon, torch.rand(1, size), skill=skill, next_action=next_action)
 
 
 def run() -> Iterator[Row]:
-    """Every collector that learns, plain DDPG and TD3 at E=1; the operations of matrix products are counted by torch."""
-    torch.set_num_threads(cores())
+    """Plain DDPG, and every collector that learns and is no variant of another one, at E=1."""
     kinds = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
     agents: dict[str, Any] = {
         "DDPG": PlainDDPG(SPACE, DDPGConfig(), [1]),
-        "TD3": TD3(24, 6, TD3Config(), [1]),
-        **{name: kind(SPACE, kind.config_class(), [1]) for name, kind in kinds.items() if kind.learns},
+        **{
+            name: kind(SPACE, kind.configure("walker"), [1])
+            for name, kind in kinds.items()
+            if kind.learns and not kind.values and kind.__module__ != "cudc_bench.collectors.variants" and name != "cudc-kmax6"
+        },
     }
+    yield from compare(agents, "update")
+
+
+def compare(agents: dict[str, Any], what: str) -> Iterator[Row]:
+    """The time of an update of each, against the first one's and the peak; torch counts the operations of matrix products."""
+    torch.set_num_threads(cores())
     updates: dict[str, Callable[[], object]] = {}
     operations: dict[str, int] = {}
     for name, agent in agents.items():
-        updates[name] = partial(agent.update, batch_for(agent))
-        updates[name]()
-        with FlopCounterMode(display=False) as counter:
+        updates[name] = partial(agent.update, batch_for(agent, agent.config.batch_size))
+        # Some move their actors in every second update only: two make one of each kind.
+        for _ in range(2):
             updates[name]()
-        operations[name] = counter.get_total_flops()
+        with FlopCounterMode(display=False) as counter:
+            for _ in range(2):
+                updates[name]()
+        operations[name] = counter.get_total_flops() // 2
     best_peak = peak()
-    times = dict(zip(updates, fastest_interleaved(list(updates.values()), rounds=12), strict=True))
+    pairs: list[Callable[[], object]] = [partial(_twice, update) for update in updates.values()]
+    times = {name: seconds / 2 for name, seconds in zip(updates, fastest_interleaved(pairs, rounds=8), strict=True)}
     best_peak = max(best_peak, peak())
+    first = next(iter(times))
     for name, seconds in times.items():
-        share, ratio = operations[name] / seconds / best_peak, seconds / times["DDPG"]
+        share, ratio = operations[name] / seconds / best_peak, seconds / times[first]
         limit, least = RATIOS.get(name), SHARES.get(name)
         targets = [*([] if limit is None else [f"≤ {limit}x"]), *([] if least is None else [f"≥ {least:.0%}"])]
         yield Row(
-            f"{name} update, paper size, {cores()} threads",
-            f"{seconds * 1e3:.0f} ms, {operations[name] / 1e9:.1f} GFLOP",
-            f"DDPG; peak {best_peak / 1e9:.0f} GFLOP/s",
+            f"{name} {what}, {agents[name].config.batch_size} x {agents[name].config.width}",
+            f"{seconds * 1e3:.1f} ms, {operations[name] / 1e9:.1f} GFLOP",
+            f"{first}; peak {best_peak / 1e9:.0f} GFLOP/s",
             f"{ratio:.2f}x; {share:.0%}",
             " ".join(targets),
             (limit is None or ratio <= limit) and (least is None or share >= least),
         )
+
+
+def _twice(update: Callable[[], object]) -> None:
+    update()
+    update()

@@ -13,18 +13,17 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.learner import Learner
 from cudc_bench.networks import (
     MemberRandom,
     SharedTrunkCritic,
     Trained,
     actor,
-    adam,
     frozen,
     make_target,
-    minimise,
     noisy_action,
     soft_update,
 )
@@ -48,7 +47,7 @@ class DDPGConfig:
     td_discount: Literal["gamma_pow_k", "gamma"] = "gamma_pow_k"
 
 
-class DDPG(Collector, nn.Module):
+class DDPG(Learner, Collector):
     """A stack of E agents that maximise an intrinsic reward.
 
     The critic's target is r + γ^k min_j Q̄_j(s', a') with a' from the online actor (there is no target actor); the actor maximises
@@ -58,9 +57,9 @@ class DDPG(Collector, nn.Module):
     config_class: ClassVar[type] = DDPGConfig
 
     def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        nn.Module.__init__(self)
+        Learner.__init__(self)
         Collector.__init__(self, space, config, seeds, device)
-        # Streams that the state holds; a method may add its own.
+        # A method may add its own.
         self.random = {
             "act": MemberRandom(seeds, "act", device),
             "noise": MemberRandom(seeds, "update", device),
@@ -71,14 +70,14 @@ class DDPG(Collector, nn.Module):
         self.actor = actor(weights, inputs, space.action, config.width)
         self.critic = SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs)
         self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs))
-        self.actor_optimiser = adam([self.actor], config.learning_rate)
-        self.critic_optimiser = adam([self.critic], config.learning_rate)
+        self.add_optimiser("actor", [self.actor], config.learning_rate)
+        self.add_optimiser("critic", [self.critic], config.learning_rate)
         members = len(seeds)
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64, device=self.device))
         self.register_buffer("k", torch.full((members,), config.horizon, dtype=torch.int64, device=self.device))
         self.register_buffer("skill", torch.zeros(members, self.skill_size, device=self.device))
-        believers = self.build(weights)
-        self.belief_optimiser = adam(believers, config.learning_rate) if believers else None
+        if believers := self.build(weights):
+            self.add_optimiser("belief", believers, config.learning_rate)
 
     # What a method says
 
@@ -140,9 +139,9 @@ class DDPG(Collector, nn.Module):
 
     def update(self, batch: Batch) -> dict[str, Tensor]:
         metrics: dict[str, Tensor] = {}
-        if self.belief_optimiser is not None:
+        if "belief" in self.optimisers:
             loss, metrics = self.belief_loss(batch)
-            minimise(loss, self.belief_optimiser)
+            self.minimise("belief", loss)
         with torch.no_grad():
             reward = self.reward(batch)
             weight = self.sample_weight(batch)
@@ -179,7 +178,7 @@ class DDPG(Collector, nn.Module):
         values = self.value(self.critic, batch.observation, skill, batch.action)
         error = (values - target[..., None]).square().sum(-1)
         loss = (error if weight is None else weight * error).mean(1)
-        minimise(loss, self.critic_optimiser)
+        self.minimise("critic", loss)
         if not batch.measure:
             return {}
         metrics = {"reward": reward.mean(1), "q": values.detach().mean((1, 2)), "critic_loss": loss.detach()}
@@ -190,7 +189,7 @@ class DDPG(Collector, nn.Module):
             action = self._policy(batch.observation, batch.skill)
             value = self.value(self.critic, batch.observation, batch.skill, action).amin(-1)
             loss = -(value if weight is None else weight * value).mean(1)
-            minimise(loss, self.actor_optimiser)
+            self.minimise("actor", loss)
         return {"actor_loss": loss.detach()}
 
     @torch.no_grad()
@@ -199,23 +198,3 @@ class DDPG(Collector, nn.Module):
         if not explore:
             return mean
         return noisy_action(mean, self.random["act"].normal(self.space.action), self.config.noise_std, None)
-
-    # Saving
-
-    def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        found = {"actor": self.actor_optimiser, "critic": self.critic_optimiser, "belief": self.belief_optimiser}
-        return {name: optimiser for name, optimiser in found.items() if optimiser is not None}
-
-    def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
-        return {
-            "networks": nn.Module.state_dict(self),
-            "optimisers": {name: optimiser.state_dict() for name, optimiser in self._optimisers().items()},
-            "random": {name: random.state_dict() for name, random in self.random.items()},
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
-        nn.Module.load_state_dict(self, state["networks"])
-        for name, optimiser in self._optimisers().items():
-            optimiser.load_state_dict(state["optimisers"][name])
-        for name, random in self.random.items():
-            random.load_state_dict(state["random"][name])

@@ -17,6 +17,8 @@ if _TYPE_CHECKING:
     from cudc_bench.data.reader import load_transitions as load_transitions
     from cudc_bench.descriptors import DescriptorCoverage as DescriptorCoverage
     from cudc_bench.descriptors import coverage as coverage
+    from cudc_bench.exports import to_d3rlpy as to_d3rlpy
+    from cudc_bench.exports import to_torchrl as to_torchrl
     from cudc_bench.verification import Verification as Verification
     from cudc_bench.verification import verify as verify
 
@@ -28,14 +30,22 @@ __all__ = [
     "coverage",
     "draw_diagnostics",
     "evaluate",
+    "export_policy",
     "import_exorl",
+    "load_policy",
     "load_transitions",
     "make_leaderboard",
     "pilot",
     "relabel",
+    "render_policy",
+    "to_d3rlpy",
+    "to_torchrl",
     "verify",
 ]
-_STAGES = ("collect", "pilot", "import_exorl", "relabel", "evaluate", "make_leaderboard", "draw_diagnostics")
+_STAGES = (
+    "collect", "pilot", "import_exorl", "relabel", "evaluate", "load_policy", "render_policy", "export_policy", "make_leaderboard",
+    "draw_diagnostics",
+)  # fmt: skip
 
 
 def __getattr__(name: str) -> _Any:
@@ -52,6 +62,10 @@ def __getattr__(name: str) -> _Any:
         from cudc_bench import descriptors
 
         found = getattr(descriptors, name)
+    elif name in {"to_d3rlpy", "to_torchrl"}:
+        from cudc_bench import exports
+
+        found = getattr(exports, name)
     elif name in {"Verification", "verify"}:
         from cudc_bench import verification
 

@@ -15,7 +15,9 @@ from cudc_bench.errors import CudcBenchError
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
-_ORDER = ("collect", "pilot", "import-exorl", "relabel", "evaluate", "leaderboard", "diagnostics", "verify", "list", "doctor")
+_ORDER = (
+    "collect", "pilot", "import-exorl", "relabel", "evaluate", "render", "export", "leaderboard", "diagnostics", "verify", "list", "doctor",
+)  # fmt: skip
 
 
 def _show_version(wanted: bool) -> None:

@@ -70,7 +70,11 @@ def _cuda() -> tuple[bool, str]:
 def _rendering() -> tuple[bool, str]:
     import os
 
-    return True, f"MUJOCO_GL={os.environ.get('MUJOCO_GL', 'unset')} (nothing here needs it)"
+    from cudc_bench.envs.drawing import INSTALL, probe
+
+    # Nothing else draws, so that its absence is no fault.
+    backend = probe(os.environ.get("MUJOCO_GL"))
+    return True, f"cudc-bench render {f'works, with {backend}' if backend else f'would not work: {INSTALL}'}"
 
 
 def _root() -> tuple[bool, str]:

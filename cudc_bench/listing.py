@@ -61,9 +61,10 @@ def _domains() -> Table:
 def _algorithms() -> Table:
     from cudc_bench import plugins
 
-    table = _table("Offline algorithms (--algo)", "name", "citation")
+    table = _table("Offline algorithms (--algo)", "name", "what it is", "citation")
     for name in plugins.names("evaluators"):
-        table.add_row(name, plugins.load("evaluators", name).citation)
+        kind = plugins.load("evaluators", name)
+        table.add_row(name, kind.summary, kind.citation)
     return table
 
 

@@ -192,11 +192,16 @@ class Ensemble(nn.Module):
 
 
 class TwinCritic(nn.Module):
-    """Two separate critics, as in ExORL's offline learners."""
+    """Two separate critics.
 
-    def __init__(self, random: MemberRandom, inputs: int, width: int) -> None:
+    Args:
+        random: the members' streams for initial weights.
+        make: builds one stacked critic, (E, B, S + A) -> (E, B, 1), from the streams that it is given.
+    """
+
+    def __init__(self, random: MemberRandom, make: Callable[[MemberRandom], nn.Module]) -> None:
         super().__init__()
-        self.twins = Ensemble(random, 2, lambda streams: nn.Sequential(trunk(streams, inputs, width), *mlp(streams, width, width, 1)))
+        self.twins = Ensemble(random, 2, make)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """(E, B, S), (E, B, A) -> both values (E, B, 2)."""

@@ -16,7 +16,7 @@ DomainOption = Annotated[str, typer.Option("--domain", help="What is explored.")
 MethodOption = Annotated[str, typer.Option("--method", help="Collector, or several separated by commas.")]
 TasksOption = Annotated[str, typer.Option("--tasks", "--task", help="Tasks separated by commas, or 'all'.")]
 RewardOption = Annotated[str | None, typer.Option("--reward", help="Own reward function, as module:function, instead of --tasks.")]
-AlgoOption = Annotated[str, typer.Option("--algo", help="Offline algorithm.")]
+AlgoOption = Annotated[str, typer.Option("--algo", help="Offline algorithm, or several separated by commas.")]
 SeedsOption = Annotated[str, typer.Option("--seeds", "--seed", help="Seeds, such as 1 or 1-5 or 1,3.")]
 ProfileOption = Annotated[
     str,
@@ -79,6 +79,18 @@ def parse_names(text: str) -> tuple[str, ...]:
 def parse_tasks(text: str) -> tuple[str, ...] | None:
     """Names of tasks, or None for ``all``."""
     return None if text.strip() == "all" else parse_names(text)
+
+
+def parse_sizes(text: str) -> tuple[int, ...]:
+    """``"100000, 200_000"`` -> (100000, 200000).
+
+    Raises:
+        UsageError: it is not a list of positive whole numbers.
+    """
+    parts = parse_names(text)
+    if not parts or not all(re.fullmatch(r"[1-9][0-9_]{0,14}", part) for part in parts):
+        raise UsageError(f"--dataset-size cannot be '{text}'; give numbers of transitions, such as 100000,200000.")
+    return tuple(int(part.replace("_", "")) for part in parts)
 
 
 def check_folder(path: str | Path, what: str) -> Path:

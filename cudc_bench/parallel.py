@@ -15,12 +15,14 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.progress import bars
 
 _queue: Any = None  # in a worker process: where progress is reported
+_leaving = False  # in a worker process: whether it has been told to leave
 
 
 @dataclass(frozen=True)
@@ -103,11 +105,25 @@ def _start_worker(queue: Any, threads: int) -> None:
     global _queue
     _queue = queue
     # Ctrl-C reaches every process of the terminal; a worker leaves quietly, through its own clean-up.
-    signal.signal(signal.SIGINT, lambda *_: sys.exit(130))
+    signal.signal(signal.SIGINT, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     import torch
 
     torch.set_num_threads(threads)
+
+
+def _leave(*_: object) -> None:
+    global _leaving
+    _leaving = True
+    sys.exit(130)
+
+
+def _report(index: int, n: int) -> None:
+    """What a job in a worker calls to tell how far it is."""
+    # Python drops an exception that a signal raises inside a finaliser or a callback; the job would then go on for nobody.
+    if _leaving:
+        sys.exit(130)
+    _queue.put((index, n))
 
 
 def _leave_with_parent() -> None:
@@ -120,7 +136,7 @@ def _leave_with_parent() -> None:
 
 def _call(function: Callable[..., Any], index: int, arguments: dict[str, Any]) -> Any:
     try:
-        return function(lambda n: _queue.put((index, n)), **arguments)
+        return function(partial(_report, index), **arguments)
     except SystemExit:
         # The job has cleaned up. The pool would now report this to the parent and wait for the next job, though nobody may be there.
         parent = multiprocessing.parent_process()

@@ -39,6 +39,7 @@ class DatasetReference(_Strict):
         overrides: hyperparameters of the collection that differ from that profile.
         reward: the user's own function that labelled it, if it is none of the domain's tasks.
         source: who collected it, such as ``"ExORL"``, if it was imported; None if this project's own collector did.
+        used: how many of its first transitions were trained on, if not all.
     """
 
     id: str
@@ -52,6 +53,7 @@ class DatasetReference(_Strict):
     overrides: dict[str, Any] = {}
     reward: RewardFunction | None = None
     source: Source | None = None
+    used: Annotated[int, Field(ge=1)] | None = None
 
 
 class Evaluation(_Strict):
@@ -139,6 +141,8 @@ class Record(_Strict):
         if self.dataset.reward is not None:
             # A function that was changed on the way is another task.
             changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
+        if self.dataset.used is not None:
+            changes.append(f"first {self.dataset.used:,} transitions")
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
             if overrides:
                 changes.append(f"{stage}: {settings_text(overrides)}")
@@ -159,9 +163,13 @@ def settings_text(overrides: Mapping[str, Any]) -> str:
     return ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides))
 
 
-def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profile: str) -> Path:
-    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``."""
-    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}-seed{seed}.json")
+def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profile: str, used: int | None = None) -> Path:
+    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``.
+
+    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``.
+    """
+    part = "" if used is None else f"-first{used}"
+    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}.json")
 
 
 def write_record(path: Path, record: Record) -> None:

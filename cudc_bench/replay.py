@@ -29,6 +29,7 @@ class Batch:
         reward: r_t (E, B); absent (None) in reward-free collection, where no extrinsic reward exists at all.
         measure: whether this update's metrics will be read; methods skip costly ones otherwise.
         skill: the skill (E, B, K) that a_t followed; None for methods without skills.
+        next_action: a_{t+k} (E, B, A), for algorithms that ask for it.
         nearer_observation, nearer_horizon: s_{t+k'} (E, B, S) and k' ≤ k (E, B), int64, for methods that ask for a second end.
         kept: values that a method computed for one step of its update and needs in a later one.
     """
@@ -40,6 +41,7 @@ class Batch:
     reward: Tensor | None = None
     measure: bool = False
     skill: Tensor | None = None
+    next_action: Tensor | None = None
     nearer_observation: Tensor | None = None
     nearer_horizon: Tensor | None = None
     kept: dict[str, Tensor] = field(default_factory=dict)
@@ -112,24 +114,30 @@ class Episodes:
         action_row = self.starts[self.source[:, None], episode] + offset
         return action_row + episode, action_row
 
-    def sample(self, size: int, horizon: Tensor, measure: bool = False, nearest: int | None = None) -> Batch:
+    def sample(self, size: int, horizon: Tensor, measure: bool = False, nearest: int | None = None, next_action: bool = False) -> Batch:
         """A minibatch of B k-step transitions for each member; rewards are those of the first step.
 
         Args:
             size: B.
             horizon: k of each member (E,).
             measure: see :class:`Batch`.
+            next_action: also give the action that follows s_{t+k}; transitions to the end of an episode, which has none, are left out.
             nearest: also give a second end to each transition, k' steps after its start, k' uniform from ``nearest`` to k.
         """
-        observation_row, action_row = self.indices(size, horizon)
+        observation_row, action_row = self.indices(size, horizon + 1 if next_action else horizon)
         flat_observation = self.observations.flatten(0, 1)
         base = self.source[:, None]
         first = observation_row + base * self.observations.shape[1]
         rows = torch.cat([first, first + horizon[:, None]], dim=1)
         both = flat_observation.index_select(0, rows.flatten()).view(*rows.shape, -1)
         of_action = (action_row + base * self.actions.shape[1]).flatten()
-        action = self.actions.flatten(0, 1).index_select(0, of_action)
+        flat_action = self.actions.flatten(0, 1)
+        action = flat_action.index_select(0, of_action)
         skill = None if self.skills is None else self.skills.flatten(0, 1).index_select(0, of_action).view(*action_row.shape, -1)
+        following = None
+        if next_action:
+            of_next = (action_row + horizon[:, None] + base * self.actions.shape[1]).flatten()
+            following = flat_action.index_select(0, of_next).view(*action_row.shape, -1)
         nearer, k = None, None
         if nearest is not None:
             span = horizon[:, None] - nearest + 1
@@ -143,6 +151,7 @@ class Episodes:
             reward=None if self.rewards is None else self.rewards.gather(1, action_row),
             skill=skill,
             measure=measure,
+            next_action=following,
             nearer_observation=nearer,
             nearer_horizon=k,
         )

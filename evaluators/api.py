@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,17 +13,18 @@ from typing import Any
 import torch
 
 from cudc_bench import plugins
+from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.manifest import Manifest, read_manifest
 from cudc_bench.networks import MemberRandom
 from cudc_bench.options import LOG_DIR, check_folder, check_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
-from cudc_bench.profiles import resolve_device, resolve_profile
+from cudc_bench.profiles import Profile, resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
 from cudc_bench.provenance import command_line, commit, machine, versions
 from cudc_bench.records import (
@@ -39,10 +41,48 @@ from cudc_bench.runlog import LogTarget, check_log, open_log
 from cudc_bench.stages import check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
 
 from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
+from .policies import save_policy
+
+CHECKPOINTS = ".checkpoints"  # folder in that of the records
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One algorithm with everything that it needs.
+
+    Attributes:
+        algo, kind: its name and class.
+        profile: the set of hyperparameters that it starts from.
+        loop, config: all hyperparameters.
+        overrides: those that the user changed.
+    """
+
+    algo: str
+    kind: Any
+    profile: str
+    loop: EvaluateConfig
+    config: Any
+    overrides: dict[str, Any]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All hyperparameters by name."""
+        return as_dict(self.loop, self.config)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training run: an algorithm on a dataset, or on the first ``used`` transitions of it, and where its record goes."""
+
+    plan: Plan
+    dataset: str
+    manifest: Manifest
+    used: int | None
+    path: Path
 
 
 def evaluate(
-    algo: str = "td3",
+    algo: str | Sequence[str] = "td3",
     domain: str = "walker",
     tasks: Sequence[str] | None = None,
     methods: Sequence[str] = ("cudc",),
@@ -50,7 +90,9 @@ def evaluate(
     *,
     profile: str = "auto",
     settings: Mapping[str, Any] | None = None,
-    dataset_id: str | None = None,
+    steps: int | None = None,
+    dataset_id: str | Sequence[str] | None = None,
+    dataset_sizes: Sequence[int] | None = None,
     reward: str | Callable[[Measured], Any] | None = None,
     output: str | Path = "results",
     overwrite: bool = False,
@@ -58,21 +100,27 @@ def evaluate(
     workers: int | None = 1,
     log: str | None = None,
     log_dir: str | Path = LOG_DIR,
+    policies: bool = True,
+    checkpoint_every: float = 60.0,
 ) -> list[Path]:
-    """Train an offline algorithm on relabelled datasets and write one record for each (method, seed, task).
+    """Train offline algorithms on relabelled datasets and write one record for each (algorithm, method, seed, task).
 
     Datasets that are missing are collected and relabelled first. Offline seed i trains on the dataset of collector seed i. A record that
-    exists for the same data and hyperparameters is kept.
+    exists for the same data and hyperparameters is kept. A run that was interrupted is continued where its last checkpoint was taken, with
+    the same result as if it had not been.
 
     Args:
-        algo: a registered evaluator.
+        algo: a registered evaluator, or several.
         domain: of the datasets.
         tasks: of the domain; all unless given.
         methods: whose datasets.
         seeds: of the datasets and of the training.
         profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``; datasets must be of the same, unless they are imported.
         settings: hyperparameters of the training that differ from the profile, by name.
-        dataset_id: train on this dataset (task-agnostic or relabelled) instead of those of ``methods``; ``seeds`` is then its own.
+        steps: gradient steps, instead of the profile's; milestones before them stay, and the last step is the last milestone.
+        dataset_id: train on this dataset, or these (task-agnostic or relabelled), instead of those of ``methods``; ``seeds`` are then
+            their own.
+        dataset_sizes: train once for each of these numbers of transitions, on the first so many of each dataset.
         reward: an own reward function instead of tasks, as in :func:`relabel`.
         output: folder of the records.
         overwrite: train again where a record exists.
@@ -81,6 +129,8 @@ def evaluate(
         log: also send training metrics and mean returns to ``"tensorboard"`` or ``"wandb"`` while they are measured. Datasets that are
             collected on the way are not logged.
         log_dir: the folder of these logs; a run's own in it is ``evaluate/`` and its record's place below ``output``, less ``.json``.
+        policies: keep the trained policy beside each record, for :func:`load_policy`.
+        checkpoint_every: seconds between two checkpoints, which lie in ``.checkpoints`` in ``output`` until the record is written.
 
     Returns:
         The paths of all records, trained now or before.
@@ -89,59 +139,59 @@ def evaluate(
         UsageError: wrong input; nothing has been trained.
         RunError: the run failed; the records written before stay.
     """
-    kind = plugins.load("evaluators", algo)
     chosen = resolve_profile(profile)
-    settings = dict(settings or {})
-    check_settings(settings, [EvaluateConfig, kind.config_class])
-    loop, config = (build(one, chosen.evaluate, settings) for one in (EvaluateConfig, kind.config_class))
-    check_milestones(loop)
-    values = as_dict(loop, config)
-    overrides = changed(values, as_dict(*(build(one, chosen.evaluate) for one in (EvaluateConfig, kind.config_class))))
+    plans = _plans([algo] if isinstance(algo, str) else algo, chosen, dict(settings or {}), steps)
     results = check_folder(output, "the output")
     check_folder(datasets_root(), "the dataset root")
     logs = check_log(log, log_dir)
     device = resolve_device(device)
     worker_count(workers, 1)
+    sizes = _check_sizes(dataset_sizes)
+    named = None if dataset_id is None else list(dict.fromkeys([dataset_id] if isinstance(dataset_id, str) else dataset_id))
+    if named == []:
+        raise UsageError("no dataset was named; give an id such as walker/cudc-v0.")
     # A dataset says itself what it is of.
-    facts = check_domain(domain if dataset_id is None else read_manifest(parse_id(dataset_id)).domain)
+    domains = list(dict.fromkeys([domain] if named is None else [read_manifest(parse_id(one)).domain for one in named]))
+    facts = check_domain(domains[0])
     custom = None if reward is None else load_reward(reward, facts)
     if custom is not None and tasks is not None:
         raise UsageError("--reward makes a task of its own; leave out --tasks.")
-    if dataset_id is None and custom is None and not check_tasks(facts, tasks):
+    if custom is not None and len(domains) > 1:
+        raise UsageError(f"--reward takes datasets of one domain at a time, not of {', '.join(domains)}.")
+    if named is None and custom is None and not check_tasks(facts, tasks):
         raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
     seeds = check_seeds(seeds)
     if not methods:
         raise UsageError("no method was given; see cudc-bench list.")
-    for method in () if dataset_id else methods:
+    for method in () if named else methods:
         check_collected(method, domain, seeds, profile=profile)
 
-    ids = _datasets(domain, tasks, custom, methods, seeds, dataset_id, profile=profile, device=device, workers=workers)
+    ids = _datasets(domain, tasks, custom, methods, seeds, named, profile=profile, device=device, workers=workers)
     manifests = {one: read_manifest(one) for one in ids}
     for one, manifest in manifests.items():
         check_reward(manifest, one, custom)
-    paths = {one: record_path(results, one, algo, manifests[one].seed, chosen.name) for one in ids}
-    todo = [one for one in ids if overwrite or not _done(paths[one], manifests[one], config_hash(values))]
+    runs = [
+        Run(plan, one, manifest, used, record_path(results, one, plan.algo, manifest.seed, chosen.name, used))
+        for plan in plans
+        for one, manifest in manifests.items()
+        for used in _used(sizes, one, manifest)
+    ]
+    todo = [run for run in runs if overwrite or not _done(run)]
+    gradient_steps = plans[0].loop.gradient_steps
     say(
-        f"evaluate {algo} on {facts.name}: profile {chosen.name}, {len(ids)} runs of {loop.gradient_steps:,} gradient steps, {device}"
-        + (f"; {len(ids) - len(todo)} recorded before are kept" if len(todo) < len(ids) else "")
+        f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(domains)}: profile {chosen.name}, {len(runs)} runs of"
+        f" {gradient_steps:,} gradient steps, {device}"
+        + (f"; {len(runs) - len(todo)} recorded before are kept" if len(todo) < len(runs) else "")
     )
-    targets = {
-        one: None if log is None else LogTarget(
-            log, logs, "evaluate", chosen.name, facts.name, str(paths[one].relative_to(results / chosen.name).with_suffix("")),
-            f"{manifests[one].task}-{manifests[one].method}-{algo}-seed{manifests[one].seed}", values,
-        )
-        for one in todo
-    }  # fmt: skip
-    groups = [todo] if device == "cuda" and todo else [[one] for one in todo]
+    groups = _groups(todo) if device == "cuda" else [[run] for run in todo]
     jobs = [
         Job(
-            description=" + ".join(group) if len(group) < 3 else f"{len(group)} datasets",
-            total=loop.gradient_steps,
+            description=_describe(group),
+            total=gradient_steps,
             arguments={
-                "algo": algo, "ids": group, "paths": [paths[one] for one in group], "profile": chosen.name, "loop": loop,
-                "config": config, "overrides": overrides, "device": device,
-                "reward": None if custom is None else custom.reference,
-                "targets": [targets[one] for one in group],
+                "runs": group, "device": device, "reward": None if custom is None else custom.reference,
+                "targets": [_target(run, log, logs, results) for run in group], "checkpoints": results / CHECKPOINTS,
+                "checkpoint_every": checkpoint_every, "policies": policies,
             },
         )
         for group in groups
@@ -149,31 +199,42 @@ def evaluate(
     if jobs:
         count = 1 if device == "cuda" else worker_count(workers, len(jobs))
         run_jobs(evaluate_members, jobs, unit="gradient steps", workers=count, threads=chosen.threads)
-    return list(paths.values())
+    return [run.path for run in runs]
 
 
 def evaluate_members(
-    advance: Advance, *, algo: str, ids: list[str], paths: list[Path], profile: str, loop: EvaluateConfig, config: Any,
-    overrides: dict[str, Any], device: str, reward: str | None, targets: list[LogTarget | None],
+    advance: Advance, *, runs: list[Run], device: str, reward: str | None, targets: list[LogTarget | None], checkpoints: Path,
+    checkpoint_every: float, policies: bool,
 ) -> None:  # fmt: skip
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
     started = time.monotonic()
-    manifests = [read_manifest(one) for one in ids]
-    seeds = [manifest.seed for manifest in manifests]
-    facts = check_domain(manifests[0].domain)
-    agent = plugins.load("evaluators", algo)(facts.observation_size, facts.action_size, config, seeds, device)
-    data = load_members(ids, seeds, device)
-    tasks = [str(manifest.task) for manifest in manifests]
-    arena = Arena(facts, tasks if reward is None else load_reward(reward, facts))
+    plan, seeds = runs[0].plan, [run.manifest.seed for run in runs]
+    facts = check_domain(runs[0].manifest.domain)
+    agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
+    data = load_members([run.dataset for run in runs], seeds, device, runs[0].used)
+    if agent.wants_next_action and int(data.lengths[data.lengths > 0].min()) < 2:
+        raise RunError(f"{plan.algo} needs episodes of at least two steps, which {runs[0].dataset} does not have throughout.")
+    arena = Arena(facts, [str(run.manifest.task) for run in runs] if reward is None else load_reward(reward, facts))
+    kept = Checkpoints(
+        checkpoints,
+        {
+            "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": seeds, "used": runs[0].used, "device": device,
+            "datasets": [[run.dataset, run.manifest.fingerprint] for run in runs], "versions": versions(),
+        },
+        checkpoint_every,
+    )  # fmt: skip
     with ExitStack() as stack:
         logs = [stack.enter_context(open_log(target)) for target in targets]
-        outcomes = run_evaluation(agent, data, loop, arena, advance, logs)
+        outcomes = run_evaluation(agent, data, plan.loop, arena, advance, logs, kept)
     seconds = round(time.monotonic() - started, 1)
-    for one, path, manifest, outcome in zip(ids, paths, manifests, outcomes, strict=True):
-        write_record(path, _record(algo, one, manifest, outcome, profile, loop, config, overrides, device, seconds))
+    for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
+        if policies:
+            save_policy(agent, member, run.path)
+        write_record(run.path, _record(run, outcome, device, seconds))
+    kept.remove()
 
 
-def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device | str) -> Episodes:
+def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device | str, used: int | None = None) -> Episodes:
     """The datasets of a stack of members, for sampling one-step transitions.
 
     Members whose datasets differ in their rewards only (the tasks of one collected dataset) share one copy of the rest.
@@ -182,6 +243,7 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
         ids: a relabelled dataset for each member.
         seeds: of the members' index streams.
         device: where the arrays go.
+        used: only the first so many transitions of each dataset; the episode in which they end is cut short.
     """
     sources: dict[tuple[str, str], int] = {}
     flats: list[FlatEpisodes] = []
@@ -194,18 +256,22 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
             flats.append(load_episodes(one, ("observations", "actions")))
         source_of_member.append(sources[key])
         rewards.append(torch.from_numpy(load_episodes(one, ("rewards",)).arrays["rewards"]))
-    steps = max(int(flat.lengths.sum()) for flat in flats)
+    steps = used or max(int(flat.lengths.sum()) for flat in flats)
     first = flats[0].arrays
     episodes = Episodes(
         len(flats), max(len(flat.lengths) for flat in flats), steps, first["observations"].shape[1], first["actions"].shape[1],
         MemberRandom(seeds, "replay", device), source_of_member,
     )  # fmt: skip
     for source, flat in enumerate(flats):
+        left = steps
         for observations, actions in zip(flat.split("observations"), flat.split("actions"), strict=True):
-            episodes.add(source, torch.from_numpy(observations), torch.from_numpy(actions))
+            length = min(left, len(actions))
+            if length:
+                episodes.add(source, torch.from_numpy(observations[: length + 1]), torch.from_numpy(actions[:length]))
+            left -= length
     padded = torch.zeros(len(ids), steps, device=device)
     for row, values in zip(padded, rewards, strict=True):
-        row[: len(values)] = values.to(device)
+        row[: len(values)] = values[:steps].to(device)
     episodes.rewards = padded
     return episodes
 
@@ -225,48 +291,111 @@ def check_milestones(loop: EvaluateConfig) -> None:
             )
 
 
+def _plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], steps: int | None) -> list[Plan]:
+    """One for each algorithm; a setting must be known to one of them at least."""
+    kinds = {name: plugins.load("evaluators", name) for name in algos}
+    if not kinds:
+        raise UsageError(f"no algorithm was given; allowed: {', '.join(plugins.names('evaluators'))}.")
+    check_settings(settings, [EvaluateConfig, *(kind.config_class for kind in kinds.values())])
+    plain = build(EvaluateConfig, profile.evaluate)
+    if steps is not None:
+        if "gradient_steps" in settings:
+            raise UsageError("--steps and --set gradient_steps say the same; give one of them.")
+        before = build(EvaluateConfig, profile.evaluate, settings).milestones
+        settings = {"milestones": [*(one for one in before if one < steps), steps]} | settings | {"gradient_steps": steps}
+    loop = build(EvaluateConfig, profile.evaluate, settings)
+    check_milestones(loop)
+    # A schedule lasts as long as the run.
+    values = dict(profile.evaluate) | {"schedule_steps": loop.gradient_steps}
+    plans = []
+    for name, kind in kinds.items():
+        config = kind.configure(values, settings)
+        overrides = changed(as_dict(loop, config), as_dict(plain, kind.configure(values)))
+        plans.append(Plan(name, kind, profile.name, loop, config, overrides))
+    return plans
+
+
+def _check_sizes(sizes: Sequence[int] | None) -> list[int] | None:
+    if sizes is None:
+        return None
+    if not sizes or min(sizes) < 1:
+        raise UsageError("a dataset size is a number of transitions, 1 or more.")
+    return sorted(set(sizes))
+
+
+def _used(sizes: list[int] | None, dataset_id: str, manifest: Manifest) -> list[int | None]:
+    """How many transitions to train on, None for all of them."""
+    if sizes is None:
+        return [None]
+    if (largest := max(sizes)) > manifest.steps:
+        raise UsageError(f"'{dataset_id}' has {manifest.steps:,} transitions, not {largest:,}; leave out the larger sizes.")
+    return [None if size == manifest.steps else size for size in sizes]
+
+
+def _groups(runs: Sequence[Run]) -> list[list[Run]]:
+    """Runs that one stack can train: the same algorithm, domain and number of transitions."""
+    found: dict[tuple[str, str, int | None], list[Run]] = {}
+    for run in runs:
+        found.setdefault((run.plan.algo, run.manifest.domain, run.used), []).append(run)
+    return list(found.values())
+
+
+def _describe(group: Sequence[Run]) -> str:
+    names = [run.dataset if run.used is None else f"{run.dataset} ({run.used:,})" for run in group]
+    return f"{group[0].plan.algo}: {' + '.join(names) if len(names) < 3 else f'{len(names)} datasets'}"
+
+
+def _target(run: Run, log: str | None, logs: Path, results: Path) -> LogTarget | None:
+    if log is None:
+        return None
+    manifest, profile = run.manifest, run.plan.profile
+    place = str(run.path.relative_to(results / profile).with_suffix(""))
+    title = f"{manifest.task}-{manifest.method}-{run.path.stem}"
+    return LogTarget(log, logs, "evaluate", profile, manifest.domain, place, title, run.plan.values)
+
+
 def _datasets(
     domain: str, tasks: Sequence[str] | None, reward: CustomReward | None, methods: Sequence[str], seeds: Sequence[int],
-    dataset_id: str | None, *,
+    dataset_ids: Sequence[str] | None, *,
     profile: str, device: str, workers: int | None,
 ) -> list[str]:  # fmt: skip
     """The relabelled datasets to train on, made where they are missing."""
-    if dataset_id is None:
+    if dataset_ids is None:
         bases = [
             one for method in methods for one in ensure_collected(method, domain, seeds, profile=profile, device=device, workers=workers)
         ]
-    else:
+        return [one for base in bases for one in ensure_relabelled(base, tasks, reward)]
+    found: list[tuple[str, bool]] = []
+    # All are checked before the first is relabelled.
+    for dataset_id in dataset_ids:
         manifest = read_manifest(parse_id(dataset_id))
         check_profile(manifest, dataset_id, profile)
-        if manifest.task is not None:
-            if tasks is not None and manifest.task not in tasks:
-                raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(tasks)}; leave out --tasks.")
-            return [dataset_id]
-        bases = [dataset_id]
-    return [one for base in bases for one in ensure_relabelled(base, tasks, reward)]
+        if manifest.task is not None and tasks is not None and manifest.task not in tasks:
+            raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(tasks)}; leave out --tasks.")
+        found.append((dataset_id, manifest.task is not None))
+    return list(dict.fromkeys(one for base, labelled in found for one in ([base] if labelled else ensure_relabelled(base, tasks, reward))))
 
 
-def _done(path: Path, manifest: Manifest, values_hash: str) -> bool:
+def _done(run: Run) -> bool:
     """Whether this very run is recorded already.
 
     Raises:
         UsageError: another run stands in its place.
     """
-    if not path.exists():
+    if not run.path.exists():
         return False
-    record = read_record(path)
-    if record.dataset.fingerprint == manifest.fingerprint and record.hyperparameters_hash == values_hash:
+    record = read_record(run.path)
+    same = (run.manifest.fingerprint, config_hash(run.plan.values), run.used)
+    if (record.dataset.fingerprint, record.hyperparameters_hash, record.dataset.used) == same:
         return True
-    raise UsageError(f"{path} records another run (other data or settings); use --overwrite or another --output.")
+    raise UsageError(f"{run.path} records another run (other data or settings); use --overwrite or another --output.")
 
 
-def _record(
-    algo: str, dataset_id: str, manifest: Manifest, outcome: Outcome, profile: str, loop: EvaluateConfig, config: Any,
-    overrides: dict[str, Any], device: str, seconds: float,
-) -> Record:  # fmt: skip
-    values = as_dict(loop, config)
+def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
+    plan, manifest, dataset_id = run.plan, run.manifest, run.dataset
+    values = plan.values
     head, dirty = commit()
-    options = {"--algo": algo, "--profile": profile}
+    options = {"--algo": plan.algo, "--profile": plan.profile}
     usual = default_id(manifest.domain, manifest.method, manifest.seed).for_task(str(manifest.task))
     if dataset_id == str(usual) and not manifest.overrides and manifest.imported is None:
         # Written like this, the command also makes the datasets anew where they are missing.
@@ -277,27 +406,29 @@ def _record(
         options["--dataset-id"] = dataset_id
     if manifest.reward is not None:
         options["--reward"] = manifest.reward.reference
+    if run.used is not None:
+        options["--dataset-size"] = str(run.used)
     return Record(
         dataset=DatasetReference(
             id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
             seed=manifest.seed, steps=manifest.steps, profile=manifest.profile, overrides=manifest.overrides,
-            reward=manifest.reward, source=None if manifest.imported is None else manifest.imported.source,
+            reward=manifest.reward, source=None if manifest.imported is None else manifest.imported.source, used=run.used,
         ),
-        algorithm=algo,
-        profile=profile,
-        overrides=overrides,
+        algorithm=plan.algo,
+        profile=plan.profile,
+        overrides=plan.overrides,
         seed=manifest.seed,
         hyperparameters=values,
         hyperparameters_hash=config_hash(values),
-        milestones=list(loop.milestones),
+        milestones=list(plan.loop.milestones),
         curve=[Evaluation(step=step, returns=returns) for step, returns in outcome.curve],
-        final=Evaluation(step=loop.gradient_steps, returns=outcome.final),
+        final=Evaluation(step=plan.loop.gradient_steps, returns=outcome.final),
         metrics=[TrainingMetrics(step=step, values=row) for step, row in outcome.metrics],
         seconds=seconds,
         versions=versions(),
         commit=head,
         dirty=dirty,
         machine=machine(device, torch.get_num_threads()),
-        command=command_line("evaluate", options, overrides, "--overwrite"),
+        command=command_line("evaluate", options, plan.overrides, "--overwrite"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from cudc_bench.config import build
 from cudc_bench.replay import Batch
 
 
@@ -16,12 +17,18 @@ class Evaluator(ABC):
     """A stack of E independent offline agents, each with its own seed and data.
 
     Class attributes:
-        config_class: the frozen dataclass of hyperparameters; its defaults are ExORL's.
+        config_class: the frozen dataclass of hyperparameters; its defaults are those of the code that the class names.
+        values: hyperparameters that make a named variant out of the algorithm that it is a subclass of.
         citation: the paper, for lists and tables.
+        summary: what it is, in a few words, for lists.
+        wants_next_action: whether batches must hold the action after s'; transitions that end an episode are then never drawn.
     """
 
     config_class: ClassVar[type]
+    values: ClassVar[Mapping[str, Any]] = {}
     citation: ClassVar[str]
+    summary: ClassVar[str] = ""
+    wants_next_action: ClassVar[bool] = False
 
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         """Build the agents for observations (S,) and actions (A,)."""
@@ -29,13 +36,29 @@ class Evaluator(ABC):
         self.seeds = tuple(seeds)
         self.device = torch.device(device)
 
+    @classmethod
+    def configure(cls, profile: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Any:
+        """The algorithm's hyperparameters: its defaults, and over them those of the profile, the variant and the user.
+
+        Raises:
+            UsageError: a value is of the wrong type or out of range.
+        """
+        return build(cls.config_class, profile or {}, cls.values, settings or {})
+
     @abstractmethod
     def update(self, batch: Batch) -> dict[str, Tensor]:
         """One gradient step on a minibatch of one-step transitions; metrics are (E,) tensors when ``batch.measure`` is set."""
 
+    @property
     @abstractmethod
+    def policy(self) -> nn.Module:
+        """The deterministic policies as one module, (E, n, S) -> (E, n, A), whose parameters and buffers have the member axis first."""
+
+    @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
-        """Deterministic actions (E, n, A) for observations (E, n, S)."""
+        """Deterministic actions (E, n, A) in [-1, 1] for observations (E, n, S)."""
+        actions: Tensor = self.policy(observation)
+        return actions
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import typer
 from cudc_bench.options import (
     LOG_DIR,
     AlgoOption,
-    DatasetIdOption,
     DeviceOption,
     DomainOption,
     LogDirOption,
@@ -24,6 +23,7 @@ from cudc_bench.options import (
     WorkersOption,
     parse_names,
     parse_seeds,
+    parse_sizes,
     parse_tasks,
 )
 
@@ -36,7 +36,11 @@ def evaluate(
     seeds: SeedsOption = "1",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
-    dataset_id: DatasetIdOption = None,
+    steps: Annotated[int | None, typer.Option("--steps", help="Gradient steps, instead of the profile's.")] = None,
+    dataset_id: Annotated[str | None, typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.")] = None,
+    dataset_size: Annotated[
+        str | None, typer.Option("--dataset-size", help="Only the first so many transitions; several by commas.")
+    ] = None,
     reward: RewardOption = None,
     output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
     overwrite: OverwriteOption = False,
@@ -44,17 +48,21 @@ def evaluate(
     workers: WorkersOption = None,
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
+    policy: Annotated[bool, typer.Option("--policy/--no-policy", help="Keep the trained policy beside its record.")] = True,
+    checkpoint_every: Annotated[float, typer.Option("--checkpoint-every", min=0.0, help="Seconds between two checkpoints.")] = 60.0,
 ) -> None:
-    """Train an offline algorithm on relabelled datasets and record its scores."""
+    """Train offline algorithms on relabelled datasets and record its scores."""
     from cudc_bench.config import parse_settings
     from cudc_bench.progress import say
 
     from .api import evaluate as run
 
     paths = run(
-        algo, domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
-        settings=parse_settings(settings or []), dataset_id=dataset_id, reward=reward, output=output, overwrite=overwrite, device=device,
-        workers=workers, log=log, log_dir=log_dir,
+        parse_names(algo), domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
+        settings=parse_settings(settings or []), steps=steps, dataset_id=None if dataset_id is None else parse_names(dataset_id),
+        dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
+        device=device, workers=workers, log=log, log_dir=log_dir, policies=policy,
+        checkpoint_every=checkpoint_every,
     )  # fmt: skip
     for path in paths:
         print(path)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import Field
 
+from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.config import PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
 from cudc_bench.envs.rewards import CustomReward, Measured
@@ -18,6 +21,8 @@ from cudc_bench.runlog import RunLog
 from cudc_bench.seeding import episode_seed
 
 from .base import Evaluator
+
+FINAL = "final evaluation"  # the purpose of the seeds of its episodes
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class EvaluateConfig:
     evaluate_every: PositiveInt = 10_000
     evaluation_episodes: PositiveInt = 10
     final_episodes: PositiveInt = 50
-    milestones: tuple[PositiveInt, PositiveInt] = (100_000, 500_000)
+    milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
 
 
 @dataclass(frozen=True)
@@ -101,8 +106,9 @@ class Arena:
 
 
 def run_evaluation(
-    agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None], logs: Sequence[RunLog] = ()
-) -> list[Outcome]:
+    agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None], logs: Sequence[RunLog] = (),
+    checkpoints: Checkpoints | None = None,
+) -> list[Outcome]:  # fmt: skip
     """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
 
     Args:
@@ -111,6 +117,8 @@ def run_evaluation(
         config: how long and how often.
         arena: where the policies are tried.
         advance: told how many gradient steps have been done since it was last called.
+        checkpoints: where the run's state is kept from time to time; what is found there is continued, with the same result as
+            if it had never stopped.
         logs: for each member or for none, take the training metrics and, as ``return_mean`` and ``final_return_mean``, the mean returns.
 
     Raises:
@@ -126,25 +134,43 @@ def run_evaluation(
     def episode_seeds(purpose: str, step: int, episodes: int) -> list[list[int]]:
         return [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds]
 
-    for step in range(config.gradient_steps + 1):
+    start = 0
+    if checkpoints is not None and (found := checkpoints.load(agent.device)) is not None:
+        start, state = found
+        agent.load_state_dict(state["agent"])
+        data.random.load_state_dict(state["draws"])
+        outcomes = [Outcome(*parts) for parts in state["outcomes"]]
+        advance(start)
+
+    told = start
+    for step in range(start, config.gradient_steps + 1):
         if step % config.evaluate_every == 0 or step == config.gradient_steps:
-            found = arena.returns(agent, episode_seeds("evaluation", step, config.evaluation_episodes))
-            for outcome, row in zip(outcomes, found, strict=True):
+            returns = arena.returns(agent, episode_seeds("evaluation", step, config.evaluation_episodes))
+            for outcome, row in zip(outcomes, returns, strict=True):
                 outcome.curve.append((step, row.tolist()))
-            log(step, ({"return_mean": float(row.mean())} for row in found))
+            log(step, ({"return_mean": float(row.mean())} for row in returns))
         if step == config.gradient_steps:
             break
         measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
-        metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure))
+        metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action))
         if measure:
             rows = member_rows(metrics, step + 1)
             for outcome, values in zip(outcomes, rows, strict=True):
                 outcome.metrics.append((step + 1, values))
             log(step + 1, rows)
         if (step + 1) % 100 == 0 or step + 1 == config.gradient_steps:
-            advance(100 if (step + 1) % 100 == 0 else (step + 1) % 100)
-    found = arena.returns(agent, episode_seeds("final evaluation", config.gradient_steps, config.final_episodes))
-    for outcome, row in zip(outcomes, found, strict=True):
+            advance(step + 1 - told)
+            told = step + 1
+        if checkpoints is not None and checkpoints.due():
+            checkpoints.save(step + 1, _state(agent, data, outcomes))
+    returns = arena.returns(agent, episode_seeds(FINAL, config.gradient_steps, config.final_episodes))
+    for outcome, row in zip(outcomes, returns, strict=True):
         outcome.final.extend(row.tolist())
-    log(config.gradient_steps, ({"final_return_mean": float(row.mean())} for row in found))
+    log(config.gradient_steps, ({"final_return_mean": float(row.mean())} for row in returns))
     return outcomes
+
+
+def _state(agent: Evaluator, data: Episodes, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """All that the rest of a run depends on. The episodes of an evaluation depend on its step alone."""
+    parts = [[list(outcome.curve), list(outcome.final), list(outcome.metrics)] for outcome in outcomes]
+    return {"agent": agent.state_dict(), "draws": data.random.state_dict(), "outcomes": parts}

@@ -1,105 +1,86 @@
-"""TD3 in the form in which ExORL (Yarats et al. 2022, arXiv 2201.13425) trains on exploratory data."""
+"""TD3 in the form in which ExORL trains it on exploratory data, and in that of its own paper."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.networks import (
-    MemberRandom,
-    TwinCritic,
-    actor,
-    adam,
-    frozen,
-    make_target,
-    minimise,
-    noisy_action,
-    soft_update,
-)
+from cudc_bench.config import PositiveInt
+from cudc_bench.networks import MemberRandom, make_target, noisy_action, soft_update
 from cudc_bench.replay import Batch
 
-from .base import Evaluator
+from .actor_critic import ActorCritic, ExORLConfig
 
 
 @dataclass(frozen=True)
-class TD3Config:
-    """ExORL's values."""
+class TD3Config(ExORLConfig):
+    """ExORL's values, and switches to Fujimoto's TD3.
 
-    batch_size: PositiveInt = 1024
-    width: PositiveInt = 1024
-    learning_rate: PositiveFloat = 1e-4
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.01
-    noise_std: NonNegativeFloat = 0.2
-    noise_clip: NonNegativeFloat = 0.3
+    Attributes:
+        target_actor: take a' from a slow copy of the actor instead of the actor itself.
+        policy_delay: updates of the critics for each update of the actor and the slow copies.
+        maximise: what the actor maximises, the smaller critic or the first.
+        actor_noise: whether the actor is judged by noisy actions or by its means.
+    """
+
+    target_actor: bool = False
+    policy_delay: PositiveInt = 1
+    maximise: Literal["min", "first"] = "min"
+    actor_noise: bool = True
 
 
-class TD3(Evaluator, nn.Module):
+class TD3(ActorCritic):
     """Twin critics and a deterministic policy, trained from a fixed dataset.
 
     Departs from Fujimoto et al. 2018 as ExORL's code does: no target actor and no delay, smoothing noise clipped at 0.3 instead of
-    0.5, and an actor that maximises the smaller of both critics at a noisy action.
+    0.5, and an actor that maximises the smaller of both critics at a noisy action. ``td3-fujimoto`` undoes these four.
     """
 
-    config_class = TD3Config
+    config_class: ClassVar[type] = TD3Config
     citation = "Fujimoto et al. 2018; Yarats et al. 2022"
+    summary = "as in ExORL and the paper"
 
-    def __init__(self, observation: int, action: int, config: TD3Config, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        nn.Module.__init__(self)
-        Evaluator.__init__(self, observation, action, config, seeds, device)
-        self._noise_random = MemberRandom(seeds, "update", device)
-        weights = MemberRandom(seeds, "weights", device)
-        self.actor = actor(weights, observation, action, config.width)
-        self.critic = TwinCritic(weights, observation + action, config.width)
-        self.target_critic = make_target(self.critic, TwinCritic(weights, observation + action, config.width))
-        self.actor_optimiser = adam([self.actor], config.learning_rate)
-        self.critic_optimiser = adam([self.critic], config.learning_rate)
+    def build(self, random: MemberRandom) -> None:
+        super().build(random)
+        if self.config.target_actor:
+            self.target_actor = make_target(self.actor, self.make_actor(random))
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
-        metrics = self._update_critic(batch) | self._update_actor(batch)
-        soft_update(self.critic, self.target_critic, self.config.critic_tau)
-        return metrics if batch.measure else {}
+    def updates_actor(self) -> bool:
+        return (self.updates + 1) % self.config.policy_delay == 0
 
-    def _policy(self, observation: Tensor) -> Tensor:
-        mean = self.actor(observation)
-        noise = self._noise_random.normal(*mean.shape[1:])
+    def next_action(self, batch: Batch) -> Tensor:
+        if not self.config.target_actor:
+            return super().next_action(batch)
+        mean = self.target_actor(batch.next_observation)
+        noise = self.random["noise"].normal(*mean.shape[1:])
         return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
 
-    def _update_critic(self, batch: Batch) -> dict[str, Tensor]:
-        assert batch.reward is not None, "offline learning needs a relabelled dataset"
-        with torch.no_grad():
-            next_value = self.target_critic(batch.next_observation, self._policy(batch.next_observation)).amin(-1)
-            # No episode of these domains terminates: the environment's own discount is always 1.
-            target = batch.reward + self.config.discount * next_value
-        values = self.critic(batch.observation, batch.action)
-        loss = (values - target[..., None]).square().sum(-1).mean(1)
-        minimise(loss, self.critic_optimiser)
-        return {"q": values.detach().mean((1, 2)), "critic_loss": loss.detach()} if batch.measure else {}
+    def actor_value(self, batch: Batch) -> Tensor:
+        """What the actor maximises at each state (E, B)."""
+        action = self.sample(batch.observation) if self.config.actor_noise else self.actor(batch.observation)
+        values = self.critic(batch.observation, action)
+        return values.amin(-1) if self.config.maximise == "min" else values[..., 0]
 
-    def _update_actor(self, batch: Batch) -> dict[str, Tensor]:
-        with frozen(self.critic):
-            loss = -self.critic(batch.observation, self._policy(batch.observation)).amin(-1).mean(1)
-            minimise(loss, self.actor_optimiser)
-        return {"actor_loss": loss.detach()}
+    def actor_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        return -self.actor_value(batch).mean(1), {}
 
-    @torch.no_grad()
-    def act(self, observation: Tensor) -> Tensor:
-        return self.actor(observation)
+    def update_targets(self) -> None:
+        super().update_targets()
+        if self.config.target_actor:
+            soft_update(self.actor, self.target_actor, self.config.critic_tau)
 
-    def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
-        return {
-            "networks": nn.Module.state_dict(self),
-            "optimisers": [self.actor_optimiser.state_dict(), self.critic_optimiser.state_dict()],
-            "noise": self._noise_random.state_dict(),
-        }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
-        nn.Module.load_state_dict(self, state["networks"])
-        for optimiser, saved in zip((self.actor_optimiser, self.critic_optimiser), state["optimisers"], strict=True):
-            optimiser.load_state_dict(saved)
-        self._noise_random.load_state_dict(state["noise"])
+class TD3Fujimoto(TD3):
+    """TD3's own algorithm on ExORL's networks, learning rates and batches.
+
+    Fujimoto et al. 2018 also have smaller networks (256), faster learning (3e-4) and slower targets (0.005): ``--set`` reaches them.
+    """
+
+    values: ClassVar[Mapping[str, Any]] = {
+        "target_actor": True, "policy_delay": 2, "maximise": "first", "actor_noise": False, "noise_clip": 0.5,
+    }  # fmt: skip
+    citation = "Fujimoto et al. 2018"
+    summary = "target actor, delayed policy, first critic"

@@ -20,7 +20,7 @@ import cudc_bench
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Failures inside the battery then show the values that were compared, as those of any test module do.
-pytest.register_assert_rewrite("cudc_bench.collectors.contract")
+pytest.register_assert_rewrite("cudc_bench.collectors.contract", "cudc_bench.evaluators.contract")
 
 TASKS = ("stand", "walk", "run", "flip")
 

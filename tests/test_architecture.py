@@ -18,12 +18,12 @@ STAGES = ("collectors", "relabelers", "evaluators", "leaderboard")
 CORE = sorted((ROOT / "cudc_bench").rglob("*.py"))
 SOURCES = {path: stage for stage in STAGES for path in sorted((ROOT / stage).rglob("*.py"))} | dict.fromkeys(CORE, "core")
 DATA = [path for path in CORE if path.parent.name == "data" or path.name in {"ids.py", "manifest.py", "records.py"}]
-METHODS = [
-    path
-    for path, stage in SOURCES.items()
-    if stage in {"collectors", "evaluators"}
-    and path.stem not in {"api", "command", "contract", "exorl", "imports", "loop", "pilot", "setting", "thresholds", "__init__"}
-]
+# Of the stages whose methods are one file each, the files that are none.
+OTHERS = {
+    "api", "command", "contract", "exorl", "exporting", "imports", "loop", "pilot", "policies", "policy_commands", "rendering", "rollout",
+    "setting", "thresholds", "video", "__init__",
+}  # fmt: skip
+METHODS = [path for path, stage in SOURCES.items() if stage in {"collectors", "evaluators"} and path.stem not in OTHERS]
 ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get
 
 

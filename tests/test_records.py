@@ -59,7 +59,7 @@ def example(**changes: Any) -> dict[str, Any]:
         "schema_version": 1,
         "dataset": {
             "id": "walker/walk/cudc-v0", "fingerprint": "a" * 64, "domain": "walker", "task": "walk", "method": "cudc", "seed": 1,
-            "steps": 1000, "profile": "cpu", "overrides": {}, "reward": None, "source": None,
+            "steps": 1000, "profile": "cpu", "overrides": {}, "reward": None, "source": None, "used": None,
         },
         "algorithm": "td3", "profile": "cpu", "overrides": {}, "seed": 1, "hyperparameters": {"width": 16}, "hyperparameters_hash": "0",
         "milestones": [10, 20],

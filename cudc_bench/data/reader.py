@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -18,6 +18,9 @@ from cudc_bench.data.writer import MAIN_FILE
 from cudc_bench.errors import RunError
 from cudc_bench.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
+
+if TYPE_CHECKING:
+    from cudc_bench.exports import TensorTransitions
 
 Array = NDArray[Any]
 
@@ -70,6 +73,20 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.rewards)
+
+    def to_torch(self, device: Any = "cpu") -> TensorTransitions:
+        """The same as torch tensors, field by field, with the same shapes and types.
+
+        Args:
+            device: ``"cpu"``, ``"cuda"``, ``"auto"``, or any other that torch knows. On the CPU the tensors share these arrays' memory.
+
+        Raises:
+            UsageError: there is no such device here.
+        """
+        # Elsewhere, so that reading data needs no torch.
+        from cudc_bench import exports
+
+        return exports.to_torch(self, device)
 
 
 def has_reset_row(name: str) -> bool:

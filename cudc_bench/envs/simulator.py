@@ -76,6 +76,16 @@ class Simulator(ABC):
     def quantities(self, out: Float64) -> None:
         """Write the physical quantities (Q,) that the domain's rewards are functions of."""
 
+    @property
+    @abstractmethod
+    def timestep(self) -> float:
+        """Seconds that one control step simulates."""
+
+    @property
+    @abstractmethod
+    def compiled(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """MuJoCo's model and state, as they are: for drawing, and for the names of parts."""
+
 
 class MujocoSimulator(Simulator):
     """The thin layer over raw MuJoCo. Subclasses give the model, the initial state, the observation and the physical quantities.
@@ -151,6 +161,14 @@ class MujocoSimulator(Simulator):
     def overwrite_state(self, state: Float64) -> None:
         mujoco.mj_setState(self.model, self.data, state, PHYSICS)
         mujoco.mj_step1(self.model, self.data)
+
+    @property
+    def timestep(self) -> float:
+        return self.substeps * float(self.model.opt.timestep)
+
+    @property
+    def compiled(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        return self.model, self.data
 
     def _forward_without_actuation(self) -> None:
         flags = self.model.opt.disableflags

@@ -162,6 +162,11 @@ class SuiteSimulator(Simulator):
         """The observation (S,) of the physics as it stands."""
         return control.flatten_observation(self.environment.task.get_observation(self.physics))[control.FLAT_OBSERVATION_KEY]
 
+    def parts(self) -> list[tuple[str, int]]:
+        """The names and sizes of what the observation (S,) is made of, in order."""
+        found = self.environment.task.get_observation(self.physics)
+        return [(str(name), int(np.size(value))) for name, value in found.items()]
+
     def set_outcome(self, state: Float64, action: Float32 | Float64) -> None:
         """Set a state (P,) as if an action (A,) had just led to it, for the quantities alone: rewards may depend on both.
 
@@ -175,6 +180,14 @@ class SuiteSimulator(Simulator):
     def quantities(self, out: Float64) -> None:
         for index, task in enumerate(self._tasks):
             out[index] = _number(task.get_reward(self.physics))
+
+    @property
+    def timestep(self) -> float:
+        return float(self.environment.control_timestep())
+
+    @property
+    def compiled(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        return self.physics.model.ptr, self.physics.data.ptr
 
     @contextmanager
     def _divergence(self) -> Iterator[None]:

@@ -339,7 +339,7 @@ def test_the_representation_learns_and_a_live_action_target_collapses(random_wal
     for _ in range(1500):
         batch = random_walker.sample(128, c.horizon)
         loss, losses = c.belief_loss(batch)
-        minimise(loss, c.belief_optimiser)
+        minimise(loss, c.optimisers["belief"])
         c.update_targets()
         reach.append(losses["loss_reach"].item())
     # Chance is ln 128.

@@ -63,7 +63,7 @@ def check(found, expected, tolerance=1e-4):
 def learn(collector, batch):
     """The belief step alone: what rewards are computed after."""
     loss, metrics = collector.belief_loss(batch)
-    minimise(loss, collector.belief_optimiser)
+    minimise(loss, collector.optimisers["belief"])
     return loss.detach(), metrics
 
 
@@ -307,7 +307,7 @@ def test_smm(sign):
 
 def test_smms_networks_have_their_own_learning_rates():
     smm = make("smm")
-    rates = {id(p): group["lr"] for group in smm.belief_optimiser.param_groups for p in group["params"]}
+    rates = {id(p): group["lr"] for group in smm.optimisers["belief"].param_groups for p in group["params"]}
     assert {rates[id(p)] for p in (*smm.encoder.parameters(), *smm.decoder.parameters())} == {1e-2}
     assert {rates[id(p)] for p in smm.discriminator.parameters()} == {1e-3}
 

@@ -440,7 +440,7 @@ def test_one_k_in_a_batch_teaches_nothing_about_k_and_second_ends_do():
             batch.next_observation = moved(batch.observation, batch.horizon[:, None])
             if batch.nearer_horizon is not None:
                 batch.nearer_observation = moved(batch.observation, batch.nearer_horizon)
-            minimise(c.belief_loss(batch)[0], c.belief_optimiser)
+            minimise(c.belief_loss(batch)[0], c.optimisers["belief"])
         k = torch.randint(3, 7, (1, 400), generator=generator)
         start = torch.randn(1, 400, 24, generator=generator)
         with torch.no_grad():

@@ -32,7 +32,10 @@ BUILDERS = {
     "actor": lambda random: actor(random, 5, 2, 8),
     "layer norm": lambda random: LayerNorm(random, 5),
 }
-CRITICS = {"shared trunk": SharedTrunkCritic, "separate trunks": TwinCritic}
+CRITICS = {
+    "shared trunk": SharedTrunkCritic,
+    "separate": lambda random, inputs, width: TwinCritic(random, lambda streams: mlp(streams, inputs, width, 1)),
+}
 
 
 @pytest.mark.parametrize("build", BUILDERS.values(), ids=BUILDERS)

@@ -29,12 +29,12 @@ def random_episodes(lengths: Sequence[int], seed: int = 0, rewards: bool = True)
     ]
 
 
-def manifest_for(written: Written) -> Manifest:
+def manifest_for(written: Written, task: str | None = None) -> Manifest:
     """A manifest of something that was written."""
     return Manifest(
-        domain="walker", method="random", seed=1, steps=written.steps, episodes=written.episodes, profile="smoke", hyperparameters={},
-        hyperparameters_hash="0", fields=written.fields, fingerprint=fingerprint(written.fields), versions=versions(), machine={},
-        seconds=0.0, created="2026-01-01T00:00:00+00:00", command="cudc-bench collect",
+        domain="walker", task=task, method="random", seed=1, steps=written.steps, episodes=written.episodes, profile="smoke",
+        hyperparameters={}, hyperparameters_hash="0", fields=written.fields, fingerprint=fingerprint(written.fields),
+        versions=versions(), machine={}, seconds=0.0, created="2026-01-01T00:00:00+00:00", command="cudc-bench collect",
     )  # fmt: skip
 
 
@@ -45,13 +45,13 @@ def make_episodes() -> Callable[..., list[Episode]]:
 
 
 @pytest.fixture
-def make_dataset() -> Callable[[str, list[Episode]], Manifest]:
-    """Writes and publishes a dataset."""
+def make_dataset() -> Callable[..., Manifest]:
+    """Writes and publishes a dataset; with a task, one whose rewards count."""
 
-    def make(dataset_id: str, episodes: list[Episode]) -> Manifest:
+    def make(dataset_id: str, episodes: list[Episode], task: str | None = None) -> Manifest:
         one = parse_id(dataset_id)
         with staging(one) as folder:
-            manifest = manifest_for(write_episodes(folder / "data", episodes))
+            manifest = manifest_for(write_episodes(folder / "data", episodes), task)
             write_metadata(folder / "data", manifest, dataset_id, "made for a test")
             publish(folder, one)
         return manifest

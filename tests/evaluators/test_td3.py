@@ -53,7 +53,7 @@ def test_losses_equal_the_formulas():
 def test_smoothing_noise_is_clipped():
     agent = make(noise_std=100.0, noise_clip=0.3)
     mean = agent.actor(torch.zeros(1, 500, 24))
-    offset = (agent._policy(torch.zeros(1, 500, 24)) - mean).detach()
+    offset = (agent.sample(torch.zeros(1, 500, 24)) - mean).detach()
     assert offset.abs().max() == pytest.approx(0.3, abs=1e-5)
 
 

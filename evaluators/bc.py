@@ -1,0 +1,52 @@
+"""BC: behaviour cloning, the policy that the data show, whatever their rewards."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor, nn
+
+from cudc_bench.config import PositiveFloat, PositiveInt
+from cudc_bench.networks import MemberRandom, actor
+from cudc_bench.replay import Batch
+
+from .actor_critic import OfflineLearner, normal_log_prob
+
+
+@dataclass(frozen=True)
+class BCConfig:
+    """ExORL's values.
+
+    Attributes:
+        noise_std: of the policy, whose likelihood is maximised.
+    """
+
+    batch_size: PositiveInt = 1024
+    width: PositiveInt = 1024
+    learning_rate: PositiveFloat = 1e-4
+    noise_std: PositiveFloat = 0.2
+
+
+class BC(OfflineLearner):
+    """Maximises log π(a | s) of the data, π normal around the actor's mean with a fixed deviation. It never looks at rewards."""
+
+    config_class: ClassVar[type] = BCConfig
+    citation = "Pomerleau 1988; Yarats et al. 2022"
+    summary = "behaviour cloning, as in ExORL"
+
+    def build(self, random: MemberRandom) -> None:
+        self.actor = actor(random, self.observation, self.action, self.config.width)
+        self.add_optimiser("actor", [self.actor], self.config.learning_rate)
+
+    @property
+    def policy(self) -> nn.Module:
+        return self.actor
+
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        likelihood = normal_log_prob(self.actor(batch.observation), batch.action, math.log(self.config.noise_std)).sum(-1)
+        loss = -likelihood.mean(1)
+        self.minimise("actor", loss)
+        self.updates += 1
+        return {"actor_loss": loss.detach()} if batch.measure else {}

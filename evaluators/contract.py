@@ -1,0 +1,223 @@
+"""The tests that every offline algorithm passes, third parties' included; the only module of this folder that needs pytest.
+
+A package with an algorithm of its own runs them on it from its own tests::
+
+    from cudc_bench.evaluators.contract import EvaluatorContract
+
+
+    class TestMine(EvaluatorContract):
+        algorithm = "mine"
+
+They prove what the evaluation loop promises for an algorithm: sizes in every domain, actions in [-1, 1], repeatable runs, members that
+never see each other, states that can be saved and restored, runs that end the same when they are stopped in their middle, and policies
+that can be kept. Nothing is proved about an algorithm's mathematics: that takes an independent version of its losses, for which ``make``
+and ``batch_for`` give small stacks and batches.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+
+from cudc_bench import plugins
+from cudc_bench.checkpoints import Checkpoints
+from cudc_bench.envs import DOMAINS, make_simulators, reward_function
+from cudc_bench.networks import MemberRandom
+from cudc_bench.replay import Batch, Episodes
+
+from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
+
+SMALL = {"width": 16, "batch_size": 32, "learning_rate": 1e-3}
+
+
+def make(name: str = "td3", seeds: Sequence[int] = (1,), observation: int = 24, action: int = 6, **settings: Any) -> Any:
+    """A registered algorithm at a small size.
+
+    Args:
+        name: under which it is registered.
+        seeds: one for each member.
+        observation, action: sizes; Walker's without them.
+        settings: hyperparameters that differ from ``SMALL`` and the algorithm's defaults.
+    """
+    kind = plugins.load("evaluators", name)
+    return kind(observation, action, kind.configure(SMALL, settings), list(seeds))
+
+
+def batch_for(agent: Any, observation: int = 24, action: int = 6, size: int = 32, seed: int = 0, measure: bool = False) -> Batch:
+    """Random labelled one-step transitions; every member gets other ones, member e those of ``seed + 1000 e``."""
+    parts = []
+    for member in range(len(agent.seeds)):
+        g = torch.Generator().manual_seed(seed + 1000 * member)
+        parts.append(
+            (
+                torch.randn(size, observation, generator=g),
+                torch.rand(size, action, generator=g) * 2 - 1,
+                torch.randn(size, observation, generator=g),
+                torch.rand(size, generator=g),
+                torch.rand(size, action, generator=g) * 2 - 1,
+            )
+        )
+    s, a, following, r, a_next = (torch.stack(values) for values in zip(*parts, strict=True))
+    return Batch(s, a, following, torch.ones(len(agent.seeds), dtype=torch.int64), r, measure, next_action=a_next)
+
+
+def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episodes:
+    """Episodes of uniformly random actions on Walker, labelled with the live rewards of a task, for a stack of members."""
+    simulator, rewards = make_simulators("walker", 1)[0], reward_function("walker")
+    rng = np.random.default_rng(0)
+    data = Episodes(1, episodes, episodes * 1000, 24, 6, MemberRandom(seeds, "replay"), [0] * len(seeds))
+    labels = []
+    for episode in range(episodes):
+        observations = np.empty((1001, 24), np.float32)
+        actions = rng.uniform(-1, 1, (1000, 6)).astype(np.float32)
+        quantities = np.empty((1000, 4))
+        simulator.reset(episode)
+        simulator.observe(observations[0])
+        for t, action in enumerate(actions):
+            simulator.step(action)
+            simulator.observe(observations[t + 1])
+            simulator.quantities(quantities[t])
+        data.add(0, torch.from_numpy(observations), torch.from_numpy(actions))
+        labels.append(rewards(quantities)[:, DOMAINS["walker"].tasks.index(task)])
+    data.rewards = torch.from_numpy(np.concatenate(labels).astype(np.float32)).expand(len(seeds), -1).contiguous()
+    return data
+
+
+class Stopped(Exception):
+    """Ends a run in its middle."""
+
+
+class EvaluatorContract:
+    """One battery for one registered algorithm: subclass it under a name that starts with Test, and say its ``algorithm``.
+
+    Class attributes:
+        algorithm: the name under which it is registered.
+    """
+
+    algorithm: ClassVar[str]
+
+    @pytest.fixture
+    def name(self) -> str:
+        """The registered name of the algorithm under test."""
+        return self.algorithm
+
+    @pytest.fixture(autouse=True)
+    def one_thread(self) -> Iterator[None]:
+        """Matrices this small take many times as long on several threads, which wait for each other."""
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        yield
+        torch.set_num_threads(before)
+
+    @pytest.mark.parametrize("domain", list(DOMAINS))
+    @pytest.mark.parametrize("members", [1, 3])
+    def test_builds_updates_and_acts_in_every_domain(self, name: str, domain: str, members: int) -> None:
+        sizes = (DOMAINS[domain].observation_size, DOMAINS[domain].action_size)
+        agent = make(name, range(members), *sizes)
+        # Some move their actors in every second update only.
+        metrics = agent.update(batch_for(agent, *sizes, measure=True)) | agent.update(batch_for(agent, *sizes, measure=True))
+        assert metrics
+        assert all(value.shape == (members,) and torch.isfinite(value).all() for value in metrics.values())
+        assert agent.update(batch_for(agent, *sizes)) == {}
+        actions = agent.act(torch.randn(members, 5, sizes[0]) * 3)
+        assert actions.shape == (members, 5, sizes[1])
+        assert actions.abs().max() <= 1
+
+    def test_says_what_it_is(self, name: str) -> None:
+        kind = plugins.load("evaluators", name)
+        assert isinstance(kind.citation, str)
+        assert isinstance(kind.summary, str)
+        with pytest.raises(AttributeError):  # A record states the hyperparameters, so nothing may change them on the way.
+            kind.config_class().anything = 1
+
+    def test_acts_deterministically_and_as_its_policy_does(self, name: str) -> None:
+        agent = make(name, (1, 2))
+        observation = torch.randn(2, 4, 24)
+        assert torch.equal(agent.act(observation), agent.act(observation))
+        assert torch.equal(agent.act(observation), agent.policy(observation))
+        # One member's part of every parameter is that member's policy.
+        weights = {key: value[1:] for key, value in agent.policy.state_dict().items()}
+        alone = copy.deepcopy(make(name, (7,)).policy)
+        alone.load_state_dict(weights)
+        torch.testing.assert_close(alone(observation[1:]), agent.act(observation)[1:])
+
+    def test_a_restored_state_continues_identically(self, name: str) -> None:
+        first = make(name, (1, 2))
+        for step in range(3):
+            first.update(batch_for(first, seed=step))
+        second = make(name, (1, 2))
+        second.load_state_dict(copy.deepcopy(first.state_dict()))
+        for step in range(3, 6):
+            metrics = [agent.update(batch_for(agent, seed=step, measure=True)) for agent in (first, second)]
+            assert all(torch.equal(value, metrics[1][key]) for key, value in metrics[0].items())
+        observation = torch.randn(2, 4, 24)
+        assert torch.equal(first.act(observation), second.act(observation))
+
+    def test_members_learn_together_as_they_do_alone(self, name: str) -> None:
+        together, alone = make(name, (5, 6)), make(name, (6,))
+        for step in range(10):
+            batch = batch_for(together, seed=step)
+            together.update(batch)
+            assert batch.reward is not None
+            assert batch.next_action is not None
+            own = (batch.observation[1:], batch.action[1:], batch.next_observation[1:], batch.horizon[1:], batch.reward[1:])
+            alone.update(Batch(*own, next_action=batch.next_action[1:]))
+        observation = torch.randn(1, 4, 24)
+        pair = together.act(observation.expand(2, -1, -1))
+        torch.testing.assert_close(pair[1:], alone.act(observation), atol=1e-4, rtol=1e-4)
+        assert not torch.allclose(pair[0], pair[1])
+
+    def test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end(self, name: str) -> None:
+        agent = make(name, (1, 2))
+        config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=2, final_episodes=3, milestones=(10, 25))
+        data = random_walker_data(1, "stand", (1, 2))
+        told: list[int] = []
+        outcomes = run_evaluation(agent, data, config, Arena(DOMAINS["walker"], ["stand", "walk"]), told.append)
+        assert sum(told) == 25
+        for outcome in outcomes:
+            assert [step for step, _ in outcome.curve] == [0, 10, 20, 25]
+            assert all(len(returns) == 2 for _, returns in outcome.curve)
+            assert len(outcome.final) == 3
+            assert [step for step, _ in outcome.metrics] == [10, 20, 25]
+        # Standing is part of walking: at the same states the walk's reward is never larger.
+        assert outcomes[0].curve != outcomes[1].curve
+
+    def test_a_run_is_repeated_exactly(self, name: str) -> None:
+        config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=1, milestones=(10, 20))
+        data = [random_walker_data(1, "stand", (3,)) for _ in range(2)]
+        first, second = (run_evaluation(make(name, (3,)), d, config, Arena(DOMAINS["walker"], ["stand"]), lambda n: None) for d in data)
+        assert first == second
+
+    @pytest.mark.parametrize("stop", [7, 20])
+    def test_a_run_that_was_stopped_ends_as_if_it_had_not_been(self, name: str, stop: int, tmp_path: Path) -> None:
+        config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 25))
+
+        def run(checkpoints: Checkpoints | None, agent: Any) -> list[Outcome]:
+            arena = Arena(DOMAINS["walker"], ["stand", "walk"])
+            return run_evaluation(agent, random_walker_data(1, "stand", (3, 4)), config, arena, lambda n: None, (), checkpoints)
+
+        whole = run(None, make(name, (3, 4)))
+        agent = make(name, (3, 4))
+        update, count = agent.update, [0]
+
+        def stopping(batch: Batch) -> dict[str, torch.Tensor]:
+            if count[0] == stop:
+                raise Stopped
+            count[0] += 1
+            metrics: dict[str, torch.Tensor] = update(batch)
+            return metrics
+
+        agent.update = stopping
+        with pytest.raises(Stopped):
+            run(Checkpoints(tmp_path, {"name": name}, every=0.0), agent)
+        again = Checkpoints(tmp_path, {"name": name}, every=0.0)
+        kept = again.load()
+        assert kept is not None
+        assert kept[0] == stop
+        assert run(again, make(name, (3, 4))) == whole

@@ -1,0 +1,249 @@
+"""What ``evaluate`` promises beside one training run: parts of datasets, several of everything, resuming, policies."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+import cudc_bench
+from cudc_bench import plugins
+from cudc_bench.envs import DOMAINS
+from cudc_bench.errors import RunError, UsageError
+from cudc_bench.evaluators.api import load_members
+from cudc_bench.evaluators.loop import Arena
+from cudc_bench.evaluators.policies import load_policy, policy_path
+from cudc_bench.records import Record, read_record
+from cudc_bench.seeding import episode_seed
+
+WALK = "walker/walk/cudc-v0"
+
+
+def results(tmp_path: Path) -> Path:
+    return tmp_path / "results"
+
+
+def evaluated(tmp_path: Path, **options) -> list[tuple[Path, Record]]:
+    paths = cudc_bench.evaluate(output=results(tmp_path), **{"profile": "smoke", "dataset_id": WALK} | options)
+    return [(path, read_record(path)) for path in paths]
+
+
+# Parts of datasets
+
+
+@pytest.mark.parametrize("used", [1, 999, 1000, 1001, 2500])
+def test_the_first_transitions_are_the_datasets_own(smoke, used):
+    whole, part = load_members([WALK], [1], "cpu"), load_members([WALK], [1], "cpu", used)
+    assert int(part.lengths.sum()) == used
+    assert part.episodes() == -(-used // 1000)
+    assert torch.equal(part.actions[0], whole.actions[0, :used])
+    assert torch.equal(part.rewards[0], whole.rewards[0, :used])
+    rows = used + part.episodes()
+    assert torch.equal(part.observations[0, :rows], whole.observations[0, :rows])
+    # Transitions are sampled from these alone.
+    batch = part.sample(2000, torch.ones(1, dtype=torch.int64))
+    assert set(map(tuple, batch.observation[0].tolist())) <= set(map(tuple, part.observations[0, :rows].tolist()))
+
+
+def test_sizes_have_records_and_tables_of_their_own(smoke, tmp_path):
+    found = evaluated(tmp_path, dataset_sizes=[3000, 500, 1500])
+    assert [path.name for path, _ in found] == ["td3-first500-seed1.json", "td3-first1500-seed1.json", "td3-seed1.json"]
+    assert [record.dataset.used for _, record in found] == [500, 1500, None]
+    assert "--dataset-size 500" in found[0][1].command
+    assert "--dataset-size" not in found[2][1].command
+    report = cudc_bench.make_leaderboard(results(tmp_path), None)
+    assert sorted(table.group for table in report.tables) == [
+        "smoke", "smoke (first 1,500 transitions)", "smoke (first 500 transitions)",
+    ]  # fmt: skip
+    assert report.problems == []
+    # All data are those of a run that was not asked for a size.
+    alone = evaluated(tmp_path / "other")[0][1]
+    assert (alone.curve, alone.final) == (found[2][1].curve, found[2][1].final)
+    assert found[0][1].curve[-1] != alone.curve[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"dataset_sizes": [500, 3001]}, "'walker/walk/cudc-v0' has 3,000 transitions, not 3,001"),
+        ({"dataset_sizes": [0]}, "a dataset size is a number of transitions, 1 or more"),
+        ({"dataset_sizes": []}, "a dataset size is"),
+        ({"dataset_id": []}, "no dataset was named"),
+        ({"algo": []}, "no algorithm was given; allowed: bc, cql"),
+        ({"algo": ["td3", "td5"]}, "unknown algo 'td5'"),
+        ({"algo": ["bc", "td3"], "settings": {"beta": 1.0}}, "nothing here is called 'beta'"),
+        ({"steps": 0}, "'milestones' cannot be"),
+        ({"steps": 10, "settings": {"gradient_steps": "5"}}, "--steps and --set gradient_steps say the same"),
+        ({"dataset_id": ["walker/walk/cudc-v0"], "tasks": ["run"]}, "is labelled for walk, not for run"),
+    ],
+)
+def test_wrong_input_is_refused_and_nothing_is_trained(smoke, tmp_path, options, said):
+    with pytest.raises(UsageError, match=said.replace("(", r"\(")):
+        evaluated(tmp_path, **options)
+    assert not results(tmp_path).exists()
+
+
+# Several of everything
+
+
+def test_several_algorithms_and_datasets_in_one_call(smoke, tmp_path):
+    found = evaluated(tmp_path, algo=["bc", "iql"], dataset_id=["walker/run/cudc-v0", "walker/cudc-v0"], tasks=["run", "stand"])
+    assert [(record.algorithm, record.dataset.task) for _, record in found] == [
+        ("bc", "run"), ("bc", "stand"), ("iql", "run"), ("iql", "stand"),
+    ]  # fmt: skip
+    assert len({path for path, _ in found}) == 4
+
+
+def test_a_setting_goes_to_the_algorithms_that_have_it(smoke, tmp_path):
+    found = dict.fromkeys(["bc", "iql"])
+    for _, record in evaluated(tmp_path, algo=["bc", "iql"], settings={"beta": "1.5"}):
+        found[record.algorithm] = record.overrides
+    assert found == {"bc": {}, "iql": {"beta": 1.5}}
+
+
+def test_steps_shorten_a_run_with_its_schedule_and_milestones(smoke, tmp_path):
+    ((_, record),) = evaluated(tmp_path, algo="iql", steps=30)
+    assert record.milestones == [20, 30]
+    assert record.hyperparameters["schedule_steps"] == record.final.step == 30
+    # The schedule follows from the length, and is nobody's change of its own.
+    assert record.overrides == {"gradient_steps": 30, "milestones": [20, 30]}
+    ((_, longer),) = evaluated(tmp_path / "longer", algo="iql", steps=60)
+    assert longer.milestones == [20, 40, 60]
+    ((_, own),) = evaluated(tmp_path / "own", steps=30, settings={"milestones": "[30]"})
+    assert own.milestones == [30]
+
+
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_every_algorithm_on_every_task(datasets, tmp_path, domain):
+    """From nothing: collected, relabelled, trained and in the table."""
+    algos = plugins.names("evaluators")
+    paths = cudc_bench.evaluate(
+        algos, domain, methods=["random"], profile="smoke", output=results(tmp_path), steps=20,
+        settings={"evaluate_every": "20", "milestones": "[20]", "final_episodes": "1"},
+    )  # fmt: skip
+    records = [read_record(path) for path in paths]
+    found = [(record.algorithm, record.dataset.task) for record in records]
+    assert found == [(algo, task) for algo in algos for task in DOMAINS[domain].tasks]
+    assert all(np.isfinite(record.final.returns).all() for record in records)
+    report = cudc_bench.make_leaderboard(results(tmp_path), None)
+    assert [table.algorithm for table in report.tables] == list(algos)
+    assert all(table.tasks == DOMAINS[domain].tasks for table in report.tables)
+
+
+# Resuming
+
+
+def without_time(record: Record) -> dict:
+    return {name: value for name, value in record.model_dump().items() if name not in {"seconds", "created"}}
+
+
+def test_a_killed_run_goes_on_and_ends_the_same(smoke, tmp_path, environment):
+    options = [
+        "evaluate", "--algo", "td3", "--dataset-id", WALK, "--set", "gradient_steps=3000", "--set", "evaluate_every=1000", "--set",
+        "milestones=[1000,3000]", "--workers", "1", "--checkpoint-every", "0.05",
+    ]  # fmt: skip
+    command = [sys.executable, "-m", "cudc_bench.cli", *options]
+
+    def checkpoints(folder: Path) -> list[Path]:
+        return sorted((folder / "results" / ".checkpoints").glob("*/*.pt"))
+
+    folders = [tmp_path / name for name in ("whole", "killed")]
+    for folder in folders:
+        folder.mkdir()
+    subprocess.run(command, cwd=folders[0], env=environment, check=True, capture_output=True, timeout=300)
+    process = subprocess.Popen(command, cwd=folders[1], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and process.poll() is None:
+        if any(int(path.stem) > 300 for path in checkpoints(folders[1])):
+            break
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    left = checkpoints(folders[1])
+    assert left, "the run ended before it could be killed"
+    assert not (folders[1] / "results" / "smoke").exists()
+    done = subprocess.run(command, cwd=folders[1], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    paths = [folder / "results" / "smoke" / "walker" / "walk" / "cudc-v0" / "td3-seed1.json" for folder in folders]
+    whole, continued = (read_record(path) for path in paths)
+    assert without_time(whole) == without_time(continued)
+    weights = [torch.load(policy_path(path), weights_only=True) for path in paths]
+    assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
+    assert not (folders[1] / "results" / ".checkpoints").exists()
+
+
+def test_other_data_are_never_continued(smoke, tmp_path, monkeypatch):
+    """A checkpoint of a run on one dataset is none of a run on another, nor of one with other settings."""
+    from cudc_bench.evaluators import api
+
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(api, "write_record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluated(tmp_path, checkpoint_every=0.0)
+    (folder,) = (results(tmp_path) / ".checkpoints").iterdir()
+    monkeypatch.undo()
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(smoke))
+    evaluated(tmp_path, settings={"learning_rate": "0.002"})
+    evaluated(tmp_path, dataset_id="walker/run/cudc-v0")
+    assert folder.exists()
+
+
+# Policies
+
+
+@pytest.mark.parametrize("algo", ["td3", "cql", "cql-fixed", "iql", "bc"])
+def test_a_saved_policy_gives_the_recorded_returns(smoke, tmp_path, algo):
+    ((path, record),) = evaluated(tmp_path, algo=algo)
+    policy = load_policy(path)
+    assert policy.record == record
+    # Side by side, as in the run: a product of other shapes may round differently, which a simulation amplifies.
+    together = SimpleNamespace(act=policy.module, device=torch.device("cpu"))
+    seeds = [episode_seed(1, "final evaluation", 40, episode) for episode in range(2)]
+    returns = Arena(DOMAINS["walker"], ["walk"]).returns(together, [seeds])
+    assert returns[0].tolist() == record.final.returns
+    observation = torch.randn(5, 24)
+    torch.testing.assert_close(policy(observation), policy.module(observation[None])[0])
+
+
+def test_policies_are_for_the_member_that_they_belong_to(smoke, tmp_path):
+    from cudc_bench.evaluators.policies import save_policy
+    from tests.evaluators.helpers import make
+
+    ((path, _),) = evaluated(tmp_path, algo="td3")
+    agent = make("td3", (5, 1))
+    save_policy(agent, 1, path)
+    observation = torch.randn(3, 24)
+    policy = load_policy(path)
+    torch.testing.assert_close(policy(observation), agent.act(observation.expand(2, -1, -1))[1])
+
+
+def test_no_policy_is_kept_when_none_is_wanted(smoke, tmp_path):
+    ((path, _),) = evaluated(tmp_path, policies=False)
+    assert not policy_path(path).exists()
+    with pytest.raises(RunError, match=r"has no policy beside it \(td3-seed1.policy.pt\); train it again with: cudc-bench evaluate"):
+        load_policy(path)
+
+
+def test_the_command_line_takes_all_of_it(cli, smoke, tmp_path):
+    done = cli("evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000",
+               "--steps", "20", "--no-policy", "--workers", "1")  # fmt: skip
+    assert done.code == 0, done.err
+    paths = done.out.split()
+    assert len(paths) == 8
+    assert {json.loads((tmp_path / path).read_text())["milestones"][-1] for path in paths} == {20}
+    assert not list(tmp_path.rglob("*.pt"))
+    assert os.path.basename(paths[0]) == "bc-first1000-seed1.json"
+    for text in ("0", "1e3", "abc", "-5", "1,,x", "_1"):
+        done = cli("evaluate", "--dataset-id", WALK, "--dataset-size", text)
+        assert done.code == 2
+        assert done.err.count("\n") == 1
+        assert "--dataset-size cannot be" in done.err
