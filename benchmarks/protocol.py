@@ -34,7 +34,8 @@ from cudc_bench.manifest import read_manifest
 from cudc_bench.profiles import PROFILES
 profile, steps, *ids = sys.argv[1:]
 torch.set_num_threads(%d)
-(plan,) = api._plans(["td3"], PROFILES[profile], {"evaluate_every": steps, "evaluation_episodes": 1, "final_episodes": 1}, int(steps))
+settings = {"evaluate_every": steps, "milestones": f"[{steps}]", "evaluation_episodes": 1, "final_episodes": 1}
+(plan,) = api._plans(["td3"], PROFILES[profile], settings, int(steps))
 runs = [api.Run(plan, one, read_manifest(one), None, Path("stacked") / (one.replace("/", "-") + ".json")) for one in ids]
 api.evaluate_members(lambda n: None, runs=runs, device="cpu", reward=None, targets=[None] * len(runs), checkpoints=Path("checkpoints"),
                      checkpoint_every=1e9, policies=False)
@@ -78,8 +79,8 @@ def _stack(profile: str, folder: Path) -> Iterator[Row]:
         else:
             os.environ["MINARI_DATASETS_PATH"] = before
     environment.pop("OMP_NUM_THREADS")
-    settings = ["evaluate_every", "evaluation_episodes", "final_episodes"]
-    values = [steps, 1, 1]
+    settings = ["evaluate_every", "milestones", "evaluation_episodes", "final_episodes"]
+    values = [steps, f"[{steps}]", 1, 1]
     command = [
         sys.executable,
         "-m",
