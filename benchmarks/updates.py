@@ -11,6 +11,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.measure import Row, fastest, fastest_interleaved
 from cudc_bench import plugins
+from cudc_bench.collectors import variants
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
 from cudc_bench.evaluators.base import Evaluator
@@ -52,16 +53,13 @@ def batch_for(agent: Any, size: int = SIZE) -> Batch:
 
 
 def run() -> Iterator[Row]:
-    """Plain DDPG, and every collector that learns and is no variant of another one, at E=1."""
-    kinds = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
-    agents: dict[str, Any] = {
-        "DDPG": PlainDDPG(SPACE, DDPGConfig(), [1]),
-        **{
-            name: kind(SPACE, kind.configure("walker"), [1])
-            for name, kind in kinds.items()
-            if kind.learns and not kind.values and kind.__module__ != "cudc_bench.collectors.variants" and name != "cudc-kmax6"
-        },
-    }
+    """Plain DDPG, and every collector that learns, without the variants, which are other settings of these; at E=1."""
+    # Of several names for one class the first is kept.
+    kinds = {plugins.load("collectors", name): name for name in reversed(plugins.names("collectors"))}
+    agents: dict[str, Any] = {"DDPG": PlainDDPG(SPACE, DDPGConfig(), [1])}
+    for kind, name in reversed(kinds.items()):
+        if kind.learns and kind.__module__ != variants.__name__:
+            agents[name] = kind(SPACE, kind.configure("walker"), [1])
     yield from compare(agents, "update")
 
 
