@@ -11,9 +11,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -72,7 +73,7 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
     threads = threads or max(1, cores() // workers)
     with bars([(job.description, job.total) for job in jobs], unit) as advances:
         if workers == 1:
-            with _threads(threads):
+            with torch_threads(threads):
                 return [function(advance, **job.arguments) for job, advance in zip(jobs, advances, strict=True)]
         return _run_in_processes(function, jobs, advances, workers, threads)
 
@@ -151,19 +152,14 @@ def _listen(queue: Any, advances: list[Any]) -> None:
         advances[index](n)
 
 
-class _threads:
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
     """Within this context torch uses the given number of threads."""
+    import torch
 
-    def __init__(self, threads: int) -> None:
-        self._wanted = threads
-
-    def __enter__(self) -> None:
-        import torch
-
-        self._before = torch.get_num_threads()
-        torch.set_num_threads(self._wanted)
-
-    def __exit__(self, *_: object) -> None:
-        import torch
-
-        torch.set_num_threads(self._before)
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

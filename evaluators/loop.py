@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from cudc_bench.envs import Domain, make_simulators, reward_function
 from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
 from cudc_bench.metrics import member_rows
+from cudc_bench.parallel import cores, torch_threads
 from cudc_bench.replay import Episodes
 from cudc_bench.runlog import RunLog
 from cudc_bench.seeding import episode_seed
@@ -62,47 +64,73 @@ class Outcome:
 class Arena:
     """Simulators in which a stack of policies is tried, all episodes of all members side by side.
 
+    They are stepped by as many threads as the policies are computed by, each its own share of them: MuJoCo lets other threads run
+    while it works. The returns do not depend on how many there are.
+
     Args:
         domain: what is simulated.
         tasks: the task of each member, or one own reward function for all.
+        threads: those that torch computes with by default; all cores for policies on another device.
     """
 
-    def __init__(self, domain: Domain, tasks: Sequence[str] | CustomReward) -> None:
+    def __init__(self, domain: Domain, tasks: Sequence[str] | CustomReward, threads: int | None = None) -> None:
         self._domain = domain
         self._custom = tasks if isinstance(tasks, CustomReward) else None
         self._tasks = None if isinstance(tasks, CustomReward) else np.array([domain.tasks.index(task) for task in tasks])
         self._rewards = reward_function(domain.name)
+        self._threads = threads
         self._simulators: list[Simulator] = []
+        self._shares: list[slice] = []
 
     def returns(self, agent: Evaluator, seeds: Sequence[Sequence[int]]) -> Float64:
         """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``."""
         members, episodes = len(seeds), len(seeds[0])
-        if len(self._simulators) < members * episodes:
-            self._simulators = make_simulators(self._domain.name, members * episodes)
-        simulators = self._simulators[: members * episodes]
-        observations = np.empty((members * episodes, self._domain.observation_size), np.float32)
-        quantities = np.empty((len(simulators), len(self._domain.quantities)), np.float64)
-        states = np.empty((len(simulators), self._domain.physics_size), np.float64)
+        count = members * episodes
+        threads = self._threads or (cores() if agent.device.type != "cpu" else torch.get_num_threads())
+        self._prepare(count, min(threads, count))
+        simulators = self._simulators
+        observations = np.empty((count, self._domain.observation_size), np.float32)
+        quantities = np.empty((count, len(self._domain.quantities)), np.float64)
+        states = np.empty((count if self._custom else 0, self._domain.physics_size), np.float64)
         task = None if self._tasks is None else np.repeat(self._tasks, episodes)
-        rows = np.arange(len(simulators))
-        total = np.zeros(len(simulators))
+        rows = np.arange(count)
+        total = np.zeros(count)
         for simulator, seed, out in zip(simulators, (s for row in seeds for s in row), observations, strict=True):
             simulator.reset(seed)
             simulator.observe(out)
-        for _ in range(self._domain.episode_length):
-            stacked = torch.from_numpy(observations).view(members, episodes, -1).to(agent.device)
-            actions = agent.act(stacked).cpu().numpy().reshape(len(simulators), -1)
-            for simulator, action, out, measured in zip(simulators, actions, observations, quantities, strict=True):
-                simulator.step(action)
-                simulator.observe(out)
-                simulator.quantities(measured)
-            if self._custom is None:
-                total += self._rewards(quantities)[rows, task]
-                continue
-            for simulator, state in zip(simulators, states, strict=True):
-                simulator.state(state)
-            total += self._custom(Measured(self._domain, quantities, states, actions, observations))
+
+        def step(share: slice) -> None:
+            for row in range(share.start, share.stop):
+                simulator = simulators[row]
+                simulator.step(actions[row])
+                simulator.observe(observations[row])
+                simulator.quantities(quantities[row])
+                if len(states):
+                    simulator.state(states[row])
+
+        mine, *others = self._shares
+        # Torch's own threads would wait for their next work in a busy loop, on the cores that the simulators now need.
+        with torch_threads(1 if others else torch.get_num_threads()), ThreadPoolExecutor(max(1, len(others))) as pool:
+            for _ in range(self._domain.episode_length):
+                stacked = torch.from_numpy(observations).view(members, episodes, -1).to(agent.device)
+                actions = agent.act(stacked).cpu().numpy().reshape(count, -1)
+                stepping = [pool.submit(step, share) for share in others]
+                step(mine)
+                for one in stepping:
+                    one.result()
+                if self._custom is None:
+                    total += self._rewards(quantities)[rows, task]
+                else:
+                    total += self._custom(Measured(self._domain, quantities, states, actions, observations))
         return total.reshape(members, episodes)
+
+    def _prepare(self, count: int, threads: int) -> None:
+        """Simulators in equal shares; those of two threads have no model in common, since stepping sets and resets flags in it."""
+        ends = [round(count * (index + 1) / threads) for index in range(threads)]
+        shares = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+        if shares != self._shares:
+            self._simulators = [one for share in shares for one in make_simulators(self._domain.name, share.stop - share.start)]
+            self._shares = shares
 
 
 def run_evaluation(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench.envs import DOMAINS
+from cudc_bench.envs import DOMAINS, check_domain
+from cudc_bench.errors import RunError
 from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
 from cudc_bench.replay import Batch
 
@@ -80,6 +81,27 @@ class Still:
 
     def act(self, observation):
         return self.action.expand(*observation.shape[:2], -1)
+
+
+@pytest.mark.parametrize("domain", ["walker", "dm_control/cheetah-run"])
+def test_the_arena_returns_the_same_with_any_number_of_threads(domain):
+    facts = check_domain(domain)
+    still = Still(torch.linspace(-0.5, 0.5, facts.action_size))
+    seeds = [[1, 2, 3], [4, 5, 6]]
+    tasks = [facts.tasks[0], facts.tasks[-1]]
+    alone, *shared = (Arena(facts, tasks, threads).returns(still, seeds) for threads in (1, 2, 4, 9))
+    assert len(set(alone.ravel().tolist())) > 3
+    for returns in shared:
+        assert (returns == alone).all()
+
+
+def test_a_simulator_that_diverges_in_another_thread_ends_the_evaluation():
+    class Wild(Still):
+        def act(self, observation):
+            return super().act(observation).clone().index_fill_(1, torch.tensor([2]), math.nan)
+
+    with pytest.raises(RunError, match="the walker simulation diverged"):
+        Arena(DOMAINS["walker"], ["walk"], 3).returns(Wild(torch.zeros(6)), [[1, 2, 3]])
 
 
 def test_the_arena_returns_what_gymnasium_returns():
