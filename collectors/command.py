@@ -9,10 +9,13 @@ import typer
 
 from cudc_bench.errors import UsageError
 from cudc_bench.options import (
+    CHECKPOINT_EVERY,
     LOG_DIR,
+    CheckpointEveryOption,
     DatasetIdOption,
     DeviceOption,
     DomainOption,
+    FreshOption,
     LogDirOption,
     LogOption,
     MethodOption,
@@ -39,6 +42,8 @@ def collect(
     workers: WorkersOption = None,
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    fresh: FreshOption = False,
 ) -> None:
     """Explore a domain without rewards and write Minari datasets."""
     from cudc_bench import plugins
@@ -61,7 +66,8 @@ def collect(
             for name in methods
             for one in run(
                 name, domain, parse_seeds(seeds), profile=profile, settings=parse_settings(settings or []), dataset_id=dataset_id,
-                overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir, check_only=check_only,
+                overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir, checkpoint_every=checkpoint_every,
+                fresh=fresh, check_only=check_only,
             )
         ]  # fmt: skip
     for one in ids:
@@ -77,6 +83,8 @@ def pilot(
     settings: SetOption = None,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    fresh: FreshOption = False,
 ) -> None:
     """Measure the thresholds that some variants of CUDC need."""
     from cudc_bench.config import parse_settings
@@ -87,7 +95,10 @@ def pilot(
     names = None if method.strip() == "all" else parse_names(method)
     if names == ():
         raise UsageError("--method is empty; leave it out for all that need a threshold.")
-    run(names, domain, profile=profile, settings=parse_settings(settings or []), device=device, workers=workers)
+    run(
+        names, domain, profile=profile, settings=parse_settings(settings or []), device=device, workers=workers,
+        checkpoint_every=checkpoint_every, fresh=fresh,
+    )  # fmt: skip
     print(thresholds_path())
 
 

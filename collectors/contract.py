@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,14 +27,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from cudc_bench import plugins
+from cudc_bench import interrupts, plugins
+from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch
+from cudc_bench.runlog import open_log
 
 from .base import Collector, Space
 from .ddpg import DDPG
+from .journal import DIAGNOSTICS, Journal
 from .loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
@@ -96,26 +100,16 @@ class _Memory:
         self.episodes.append((seed, observations.copy(), actions.copy(), infos["physics"].copy()))
         self.skills.append(infos["skill"].copy() if "skill" in infos else None)
 
-    def add_diagnostics(self, row: dict[str, Any]) -> None:
+    def add_diagnostics(self, row: dict[str, Any], steps_per_second: float) -> None:
+        assert steps_per_second > 0
         self.rows.append(row)
 
 
 def _run(collector: Collector, steps: int = 2300, seed_steps: int = 1000, update_every: int = 25) -> list[_Memory]:
     sinks = [_Memory() for _ in collector.seeds]
     config = CollectConfig(steps=steps, seed_steps=seed_steps, update_every=update_every, measure_every=5)
-    run_collection(collector, config, DOMAINS["walker"], list(sinks), lambda n: None)
+    run_collection(collector, config, DOMAINS["walker"], sinks, lambda n: None)
     return sinks
-
-
-def _flat(value: Any) -> list[Tensor]:
-    """Every tensor inside a state dict, in order."""
-    if isinstance(value, Tensor):
-        return [value]
-    if isinstance(value, dict):
-        value = value.values()
-    if isinstance(value, list | tuple) or not isinstance(value, str | int | float | bool | type(None)):
-        return [tensor for item in value for tensor in _flat(item)]
-    return []
 
 
 class CollectorContract:
@@ -185,8 +179,7 @@ class CollectorContract:
                 assert torch.equal(value, metrics[1][key]), key
         observation = torch.randn(2, 24)
         assert torch.equal(first.act(observation), second.act(observation))
-        for a, b in zip(_flat(first.state_dict()), _flat(second.state_dict()), strict=True):
-            assert torch.equal(a, b)
+        assert digest(first.state_dict()) == digest(second.state_dict())
 
     def test_members_learn_together_as_they_do_alone(self, name: str) -> None:
         together = make(name, (5, 6))
@@ -217,11 +210,37 @@ class CollectorContract:
 
     def test_a_run_is_repeated_exactly(self, name: str) -> None:
         first, second = _run(make(name))[0], _run(make(name))[0]
-        # How fast it went is the only thing that may differ.
-        assert [row | {"steps_per_second": 0} for row in first.rows] == [row | {"steps_per_second": 0} for row in second.rows]
+        assert first.rows == second.rows
         for a, b in zip(first.episodes, second.episodes, strict=True):
             assert a[0] == b[0]
             assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(self, name: str, tmp_path: Path) -> None:
+        """Stopped twice: within an episode, and at the end of one."""
+        config = CollectConfig(steps=2300, seed_steps=1000, update_every=25, measure_every=5)
+
+        def run(folder: Path, stop: int = 10_000) -> tuple[str, bytes, list[bytes]]:
+            collector, told = make(name, (3,)), [0]
+
+            def advance(steps: int) -> None:
+                told[0] += steps
+                if told[0] >= stop:
+                    interrupts.ask()
+
+            folder.mkdir(exist_ok=True)
+            with interrupts.leave_well(), open_log(None) as log:
+                journal = Journal(folder, log)
+                run_collection(
+                    collector, config, DOMAINS["walker"], [journal], advance, Checkpoints(folder / "checkpoints", {"name": name})
+                )
+            journal.close()
+            episodes = [array.tobytes() for episode in journal.episodes() for array in episode.fields().values()]
+            return digest(collector.state_dict()), (folder / DIAGNOSTICS).read_bytes(), episodes
+
+        for stop in (1500, 2000):
+            with pytest.raises(interrupts.Interrupted, match=f"at step {'1,600' if stop == 1500 else '2,000'} of 2,300"):
+                run(tmp_path / "stopped", stop)
+        assert run(tmp_path / "stopped") == run(tmp_path / "whole")
 
     def test_ten_thousand_steps_make_ten_valid_episodes_without_any_reward(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         def poisoned(quantities: Any) -> None:
@@ -258,7 +277,7 @@ class CollectorContract:
         other = _run(make(name), steps=1300)[0]
         covered = [[(row.pop("coverage_cells"), row.pop("coverage_entropy")) for row in sink.rows] for sink in (true, other)]
         assert covered[0] != covered[1]
-        assert [row | {"steps_per_second": 0} for row in true.rows] == [row | {"steps_per_second": 0} for row in other.rows]
+        assert true.rows == other.rows
         for a, b in zip(true.episodes, other.episodes, strict=True):
             assert a[0] == b[0]
             assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))

@@ -111,7 +111,7 @@ def import_exorl(
                 source=source, files=len(chosen), sha256=tally.sums.hexdigest(), clipped=tally.clipped, ignored=list(first.layout.ignored)
             ),
             command=_command(folder, domain, method, seed, task, steps, source, one, usual),
-            **stamp(started),
+            **stamp(time.monotonic() - started),
         )
         with bars([("measure coverage", written.steps)], "steps") as (advance,):
             coverage = measure_coverage(building / "data" / MAIN_FILE, manifest, advance)

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
 
+from cudc_bench import interrupts
+from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.config import NonNegativeInt, PositiveInt
+from cudc_bench.data.writer import Episode
 from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
+from cudc_bench.errors import UnusableError
 from cudc_bench.metrics import member_rows
 from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Episodes
+from cudc_bench.replay import Batch, Episodes
 from cudc_bench.seeding import episode_seed
 
 from .base import Collector
+
+_TELL_EVERY = 200  # steps
 
 
 @dataclass(frozen=True)
@@ -51,13 +57,50 @@ class Sink(Protocol):
         the last row repeats the one before, since no action follows it.
         """
 
-    def add_diagnostics(self, row: dict[str, Any]) -> None:
-        """One line of diagnostics: ``step``, ``updates``, ``steps_per_second`` since the line before, the coverage of the domain's
-        descriptors so far (see ``cudc_bench.descriptors``) where it has some, and what the last update since then measured of itself.
+    def add_diagnostics(self, row: dict[str, Any], steps_per_second: float) -> None:
+        """One line of diagnostics: ``step``, ``updates``, the coverage of the domain's descriptors so far (see
+        ``cudc_bench.descriptors``) where it has some, and what the last update since the line before measured of itself.
+
+        Args:
+            row: the same in every run with the same seed.
+            steps_per_second: since the line before, or since the run was continued.
         """
 
 
-def run_collection(collector: Collector, config: CollectConfig, domain: Domain, sinks: list[Sink], advance: Callable[[int], None]) -> None:
+class ResumableSink(Sink, Protocol):
+    """A sink whose episodes outlive the process, for runs with checkpoints."""
+
+    def episodes(self) -> Iterator[Episode]:
+        """All episodes so far, in order."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What is needed to find all that was added so far, which is on the disk when this returns."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to what had been added when ``state_dict`` was called.
+
+        Raises:
+            UnusableError: some of it is gone or damaged; nothing has changed.
+        """
+
+
+class Watcher(Protocol):
+    """Looks at every update of a run."""
+
+    def after_update(self, batch: Batch) -> None:
+        """The method has just learnt from this batch."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What it has seen so far."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where ``state_dict`` was taken."""
+
+
+def run_collection(
+    collector: Collector, config: CollectConfig, domain: Domain, sinks: Sequence[Sink], advance: Callable[[int], None],
+    checkpoints: Checkpoints | None = None, watcher: Watcher | None = None,
+) -> None:  # fmt: skip
     """Collect ``config.steps`` steps for every member. The environment's reward is never even computed.
 
     Physical quantities are read for the coverage of diagnostics alone; no collector sees them.
@@ -66,84 +109,197 @@ def run_collection(collector: Collector, config: CollectConfig, domain: Domain, 
         collector: E members.
         config: how much and how often.
         domain: what is explored.
-        sinks: one for each member.
+        sinks: one for each member; with ``checkpoints``, resumable ones.
         advance: told how many steps have been done since it was last called.
+        checkpoints: where the run's state is kept at the ends of episodes, from time to time, and after the last step; what is found
+            there is continued, with the same result as if the run had never stopped.
+        watcher: looks at every update.
 
     Raises:
         RunError: the simulation diverged or a metric is not finite.
+        Interrupted: the process was asked to leave; the state after the last step is kept.
     """
-    seeds, members = collector.seeds, len(collector.seeds)
-    length = domain.episode_length
-    simulators = make_simulators(domain.name, members)
-    first_actions = MemberRandom(seeds, "first actions")
-    replay = None
-    if collector.learns:
-        episodes = math.ceil(config.steps / length)
-        replay = Episodes(
-            members, episodes, episodes * length, domain.observation_size, domain.action_size,
-            MemberRandom(seeds, "replay", collector.device), skill=collector.skill_size,
-        )  # fmt: skip
-    observations = np.empty((members, length + 1, domain.observation_size), np.float32)
-    actions = np.empty((members, length, domain.action_size), np.float32)
-    physics = np.empty((members, length + 1, domain.physics_size), np.float64)
-    skills = np.empty((members, length + 1, collector.skill_size), np.float32)
-    updates, reset_seeds = 0, [0] * members
-    # Of the episode's states that actions led to; those from ``counted`` on are not in ``visits`` yet.
-    quantities = np.empty((members, length, len(domain.quantities)), np.float64)
-    visits = [Visits(domain) for _ in simulators] if domain.descriptors else []
-    counted, metrics = 0, dict[str, torch.Tensor]()
-    every, last_row, last_time = config.measure_every * config.update_every, 0, time.perf_counter()
+    run = _Run(collector, config, domain, sinks, watcher)
+    if checkpoints is not None:
+        checkpoints.load(run.load_state, collector.device)
+    told = 0
+    while True:
+        done = run.steps == config.steps
+        if run.steps - told >= _TELL_EVERY or done:
+            advance(run.steps - told)
+            told = run.steps
+        if interrupts.requested():
+            if checkpoints is not None:
+                checkpoints.save(run.steps, run.state())
+            raise interrupts.interrupted(f"at step {run.steps:,} of {config.steps:,}")
+        if done:
+            break
+        run.step()
+        if checkpoints is not None and run.steps % domain.episode_length == 0 and checkpoints.due():
+            checkpoints.save(run.steps, run.state())
+    if checkpoints is not None:
+        checkpoints.save(run.steps, run.state())
 
-    for step in range(config.steps):
-        t = step % length
+
+class _Run:
+    """A run after some steps: all that the rest of it depends on. The arguments are those of :func:`run_collection`."""
+
+    def __init__(self, collector: Collector, config: CollectConfig, domain: Domain, sinks: Sequence[Sink], watcher: Watcher | None) -> None:
+        seeds, members, length = collector.seeds, len(collector.seeds), domain.episode_length
+        self.steps = 0
+        self._collector, self._config, self._domain, self._sinks, self._watcher = collector, config, domain, sinks, watcher
+        self._simulators = make_simulators(domain.name, members)
+        self._first_actions = MemberRandom(seeds, "first actions")
+        self._replay = None
+        if collector.learns:
+            episodes = math.ceil(config.steps / length)
+            self._replay = Episodes(
+                members, episodes, episodes * length, domain.observation_size, domain.action_size,
+                MemberRandom(seeds, "replay", collector.device), skill=collector.skill_size,
+            )  # fmt: skip
+        # The episode that is under way.
+        self._reset_seeds = [0] * members
+        self._observations = np.empty((members, length + 1, domain.observation_size), np.float32)
+        self._actions = np.empty((members, length, domain.action_size), np.float32)
+        self._physics = np.empty((members, length + 1, domain.physics_size), np.float64)
+        self._skills = np.empty((members, length + 1, collector.skill_size), np.float32)
+        # Of the states that its actions led to; those from ``counted`` on are not in ``visits`` yet.
+        self._quantities = np.empty((members, length, len(domain.quantities)), np.float64)
+        self._visits = [Visits(domain) for _ in self._simulators] if domain.descriptors else []
+        self._counted = 0
+        self._updates = 0
+        self._metrics: dict[str, torch.Tensor] = {}
+        self._row_every = config.measure_every * config.update_every
+        self._timed_from = (0, time.perf_counter())
+
+    def step(self) -> None:
+        """One step of every member, and the update that is due after it."""
+        collector, config, length = self._collector, self._config, self._domain.episode_length
+        step, t = self.steps, self.steps % length
         if t == 0:
-            for member, simulator in enumerate(simulators):
-                reset_seeds[member] = episode_seed(seeds[member], "environment", step // length)
-                simulator.reset(reset_seeds[member])
-                simulator.observe(observations[member, 0])
-                simulator.state(physics[member, 0])
+            self._reset(step // length)
         if collector.skill_size:
-            skills[:, t : t + 2] = collector.next_skill(t).cpu().numpy()[:, None]
+            self._skills[:, t : t + 2] = collector.next_skill(t).cpu().numpy()[:, None]
         if step < config.seed_steps and collector.learns:
-            chosen = first_actions.uniform(domain.action_size) * 2.0 - 1.0
+            chosen = self._first_actions.uniform(self._domain.action_size) * 2.0 - 1.0
         else:
-            chosen = collector.act(torch.from_numpy(observations[:, t]).to(collector.device)).cpu()
-        actions[:, t] = chosen.numpy()
-        for member, simulator in enumerate(simulators):
-            simulator.step(actions[member, t])
-            simulator.observe(observations[member, t + 1])
-            simulator.state(physics[member, t + 1])
-            if visits:
-                simulator.quantities(quantities[member, t])
-        done = step + 1 == config.steps
+            chosen = collector.act(torch.from_numpy(self._observations[:, t]).to(collector.device)).cpu()
+        self._actions[:, t] = chosen.numpy()
+        self._simulate(t)
+        self.steps = step + 1
+        done = self.steps == config.steps
         if t + 1 == length or done:
-            for member, sink in enumerate(sinks):
-                o, a = observations[member, : t + 2], actions[member, : t + 1]
-                infos: dict[str, Float32 | Float64] = {"physics": physics[member, : t + 2]}
-                if collector.skill_size:
-                    infos["skill"] = skills[member, : t + 2]
-                sink.add_episode(reset_seeds[member], o, a, infos)
-                if replay is not None and t + 1 == length:
-                    replay.add(member, torch.from_numpy(o), torch.from_numpy(a), torch.from_numpy(skills[member, :length]))
+            self._hand_on(t + 1)
         due = step >= config.seed_steps and step % config.update_every == 0
-        if due and replay is not None and replay.episodes():
+        if due and self._replay is not None and self._replay.episodes():
             # The last update before a line.
-            measure = (step + config.update_every) % every == 0 or step + config.update_every >= config.steps
-            batch = replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
-            metrics = collector.update(batch)
-            updates += 1
-        row_due = (step + 1) % every == 0 or done
-        if visits and (row_due or t + 1 == length):
-            for member, counts in enumerate(visits):
-                counts.add(quantities[member, counted : t + 1])
-            counted = (t + 1) % length
+            measure = (step + config.update_every) % self._row_every == 0 or step + config.update_every >= config.steps
+            batch = self._replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
+            self._metrics = collector.update(batch)
+            self._updates += 1
+            if self._watcher is not None:
+                self._watcher.after_update(batch)
+        row_due = self.steps % self._row_every == 0 or done
+        if self._visits and (row_due or t + 1 == length):
+            for member, counts in enumerate(self._visits):
+                counts.add(self._quantities[member, self._counted : t + 1])
+            self._counted = (t + 1) % length
         if row_due:
-            now = time.perf_counter()
-            rate = (step + 1 - last_row) / max(now - last_time, 1e-9)
-            measured = member_rows(metrics, step + 1) if metrics else [{}] * members
-            for member, (sink, row) in enumerate(zip(sinks, measured, strict=True)):
-                covered = visits[member].coverage.as_row() if visits else {}
-                sink.add_diagnostics({"step": step + 1, "updates": updates, "steps_per_second": rate} | covered | row)
-            last_row, last_time, metrics = step + 1, now, {}
-        if t % 200 == 199 or done:
-            advance(200 if t % 200 == 199 else (t + 1) % 200)
+            self._add_row()
+
+    def _reset(self, episode: int) -> None:
+        for member, simulator in enumerate(self._simulators):
+            self._reset_seeds[member] = episode_seed(self._collector.seeds[member], "environment", episode)
+            simulator.reset(self._reset_seeds[member])
+            simulator.observe(self._observations[member, 0])
+            simulator.state(self._physics[member, 0])
+
+    def _simulate(self, t: int) -> None:
+        for member, simulator in enumerate(self._simulators):
+            simulator.step(self._actions[member, t])
+            simulator.observe(self._observations[member, t + 1])
+            simulator.state(self._physics[member, t + 1])
+            if self._visits:
+                simulator.quantities(self._quantities[member, t])
+
+    def _hand_on(self, length: int) -> None:
+        """Give the episode that has just ended to the sinks, and, if it is whole, to the replay."""
+        for member, sink in enumerate(self._sinks):
+            observations, actions = self._observations[member, : length + 1], self._actions[member, :length]
+            infos: dict[str, Float32 | Float64] = {"physics": self._physics[member, : length + 1]}
+            skills = self._skills[member, : length + 1]
+            if self._collector.skill_size:
+                infos["skill"] = skills
+            sink.add_episode(self._reset_seeds[member], observations, actions, infos)
+            if length == self._domain.episode_length:
+                self._remember(member, observations, actions, skills)
+
+    def _remember(self, member: int, observations: Float32, actions: Float32, skills: Float32) -> None:
+        if self._replay is not None:
+            self._replay.add(member, *(torch.from_numpy(array) for array in (observations, actions, skills[:-1])))
+
+    def _add_row(self) -> None:
+        before, then = self._timed_from
+        now = time.perf_counter()
+        rate = (self.steps - before) / max(now - then, 1e-9)
+        measured: Sequence[dict[str, Any]] = member_rows(self._metrics, self.steps) if self._metrics else [{}] * len(self._sinks)
+        for member, (sink, row) in enumerate(zip(self._sinks, measured, strict=True)):
+            covered = self._visits[member].coverage.as_row() if self._visits else {}
+            sink.add_diagnostics({"step": self.steps, "updates": self._updates} | covered | row, rate)
+        self._timed_from, self._metrics = (self.steps, now), {}
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the finished episodes, which the sinks hold, and the simulators, which repeat the episode's actions."""
+        t = self.steps % self._domain.episode_length
+        return {
+            "sinks": [sink.state_dict() for sink in self._resumable()],
+            "collector": self._collector.state_dict(),
+            "first_actions": self._first_actions.state_dict(),
+            "replay": None if self._replay is None else self._replay.random.state_dict(),
+            "actions": torch.from_numpy(self._actions[:, :t].copy()),
+            "skills": torch.from_numpy(self._skills[:, : t + 1].copy()),
+            "observation": torch.from_numpy(self._observations[:, t].copy()),
+            "visits": [torch.from_numpy(counts.counts.copy()) for counts in self._visits],
+            "counted": self._counted,
+            "updates": self._updates,
+            "metrics": dict(self._metrics),
+            "watcher": None if self._watcher is None else self._watcher.state_dict(),
+        }
+
+    def load_state(self, steps: int, state: dict[str, Any]) -> None:
+        """Continue exactly where ``state`` was taken, after so many steps.
+
+        Raises:
+            UnusableError: the finished episodes are damaged, or this machine's simulation goes another way.
+        """
+        length = self._domain.episode_length
+        t = steps % length
+        self._actions[:, :t] = state["actions"].cpu().numpy()
+        if t and steps < self._config.steps:
+            self._reset(steps // length)
+            for past in range(t):
+                self._simulate(past)
+            if not np.array_equal(self._observations[:, t], state["observation"].cpu().numpy()):
+                raise UnusableError
+        for sink, part in zip(self._resumable(), state["sinks"], strict=True):
+            sink.load_state_dict(part)
+        self.steps, self._updates, self._counted = steps, state["updates"], state["counted"]
+        self._skills[:, : t + 1] = state["skills"].cpu().numpy()
+        self._collector.load_state_dict(state["collector"])
+        self._first_actions.load_state_dict(state["first_actions"])
+        for counts, values in zip(self._visits, state["visits"], strict=True):
+            counts.counts[:] = values.cpu().numpy()
+        self._metrics = state["metrics"]
+        if self._watcher is not None:
+            self._watcher.load_state_dict(state["watcher"])
+        if self._replay is not None:
+            for member, sink in enumerate(self._resumable()):
+                for episode in sink.episodes():
+                    if len(episode.actions) == length:
+                        skills = episode.infos.get("skill", self._skills[member, :0])
+                        self._remember(member, episode.observations, episode.actions, skills)
+            self._replay.random.load_state_dict(state["replay"])
+        self._timed_from = (steps, time.perf_counter())
+
+    def _resumable(self) -> Sequence[ResumableSink]:
+        return cast(Sequence[ResumableSink], self._sinks)

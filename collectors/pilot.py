@@ -8,25 +8,30 @@ the paper says its own thresholds were set for, and looks at no result.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from cudc_bench import plugins
+from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import check_domain
-from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import remove_empty
+from cudc_bench.ids import domain_slug
+from cudc_bench.locks import locked
 from cudc_bench.manifest import Pilot
-from cudc_bench.options import check_folder
+from cudc_bench.options import CHECKPOINT_EVERY, check_folder
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.provenance import command_line, stamp
+from cudc_bench.provenance import command_line, origin, stamp
 from cudc_bench.replay import Batch
+from cudc_bench.runlog import open_log
 
+from .journal import Journal
 from .loop import run_collection
 from .setting import Setting, settle
 from .thresholds import settings_key, thresholds_path, write_thresholds
@@ -44,8 +49,12 @@ def pilot(
     settings: Mapping[str, Any] | None = None,
     device: str = "auto",
     workers: int | None = 1,
+    checkpoint_every: float = CHECKPOINT_EVERY,
+    fresh: bool = False,
 ) -> list[Pilot]:
     """Measure thresholds and write them into the user's file (see ``thresholds.thresholds_path``), where ``collect`` finds them.
+
+    Runs that were interrupted are continued from their last checkpoints, which lie in ``.pilots`` beside that file.
 
     Args:
         methods: collectors that need a threshold; all such by default.
@@ -54,10 +63,13 @@ def pilot(
         settings: hyperparameters that differ from the profile, by name. A threshold holds for the same settings only.
         device: ``cpu``, ``cuda`` or ``auto``.
         workers: processes; 1 works in this process, None takes one for each core on a CPU, and one for CUDA.
+        checkpoint_every: seconds between two checkpoints at least; they come at the ends of episodes.
+        fresh: start over where a run was interrupted.
 
     Raises:
-        UsageError: wrong input; nothing has been run.
+        UsageError: wrong input, or a pilot with other settings was interrupted; nothing has been run.
         RunError: a run failed, or the file is damaged or cannot be written.
+        Interrupted: the process was asked to leave; what it had done is kept.
     """
     chosen, device = resolve_profile(profile), resolve_device(device)
     check_domain(domain)
@@ -73,37 +85,46 @@ def pilot(
     check_folder(path.parent, "the folder of the thresholds")
     if path.is_dir():
         raise UsageError(f"the thresholds cannot be written to '{path}', which is a folder.")
+    folder = path.parent / ".pilots"
     first, last = (round(share * found[0].loop.steps) for share in (FIRST, LAST))
+    if not fresh:
+        for one in found:
+            _checkpoints(folder, one, last, device).check(_what(one))
     say(f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each, {device}")
-    jobs = [Job(one.method, last, {"setting": one, "first": first, "last": last, "device": device}) for one in found]
+    common = {"first": first, "last": last, "device": device, "folder": folder, "fresh": fresh, "every": checkpoint_every}
+    jobs = [Job(one.method, last, {"setting": one, **common}) for one in found]
     count = worker_count(1 if device == "cuda" and workers is None else workers, len(jobs))
     results = run_jobs(measure, jobs, unit="steps", workers=count, threads=chosen.threads)
     write_thresholds(path, results)
+    for one in found:
+        _checkpoints(folder, one, last, device).remove()
+    remove_empty(folder)
     for result in results:
         say(f"{result.method} on {domain}: {result.name} = {result.value:.6g}, from {result.updates:,} updates")
     say(f"wrote {path}")
     return list(results)
 
 
-def measure(advance: Advance, *, setting: Setting, first: int, last: int, device: str) -> Pilot:
-    """Run one method with k fixed and measure its threshold (the job of :func:`pilot`)."""
-    started = time.monotonic()
+def measure(advance: Advance, *, setting: Setting, first: int, last: int, device: str, folder: Path, fresh: bool, every: float) -> Pilot:
+    """Run one method with k fixed and measure its threshold (the job of :func:`pilot`).
+
+    What it has done is kept in a folder of its own below ``folder`` until it is done.
+    """
     kind, loop = setting.kind, replace(setting.loop, steps=last)
     name = kind.threshold(setting.config)
-    collector = kind(setting.space, setting.config, [SEED], device)
-    medians: list[torch.Tensor] = []
-    update = collector.update
-
-    def watched(batch: Batch) -> dict[str, torch.Tensor]:
-        metrics: dict[str, torch.Tensor] = update(batch)
-        medians.append(batch.kept["signal"].median())
-        return metrics
-
-    collector.update = watched
-    run_collection(collector, loop, check_domain(setting.domain), [_Nothing()], advance)
+    checkpoints = _checkpoints(folder, setting, last, device, every)
+    place = checkpoints.folder
+    with locked(place.with_name(f"{place.name}.lock"), _what(setting)), open_log(None) as nowhere:
+        if fresh:
+            checkpoints.remove()
+        place.mkdir(parents=True, exist_ok=True)
+        collector = kind(setting.space, setting.config, [SEED], device)
+        medians, journal = _Medians(), Journal(place, nowhere)
+        run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
+        journal.close()
     # The last update was in the last of the ``update_every`` steps before the end.
-    skipped = len(medians) - (last - first) // loop.update_every
-    values = torch.stack(medians[max(skipped, 0) :]) if medians else torch.empty(0)
+    skipped = len(medians.values) - (last - first) // loop.update_every
+    values = torch.stack(medians.values[max(skipped, 0) :]) if medians.values else torch.empty(0)
     if not len(values) or int(collector.horizon.max()) != setting.config.horizon:
         raise RunError(f"the pilot of {setting.method} learnt nothing within {last:,} steps; take a longer run or fewer seed_steps.")
     return Pilot(
@@ -122,15 +143,33 @@ def measure(advance: Advance, *, setting: Setting, first: int, last: int, device
         command=command_line(
             "pilot", {"--method": setting.method, "--domain": setting.domain, "--profile": setting.profile}, setting.overrides
         ),
-        **stamp(started, device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+        **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
     )
 
 
-class _Nothing:
-    """Keeps nothing of what is collected."""
+def _what(setting: Setting) -> str:
+    return f"a pilot of {setting.method} on {setting.domain}"
 
-    def add_episode(self, seed: int, observations: Float32, actions: Float32, infos: dict[str, Float32 | Float64]) -> None:
-        pass
 
-    def add_diagnostics(self, row: dict[str, Any]) -> None:
-        pass
+def _checkpoints(folder: Path, setting: Setting, last: int, device: str, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+    decisive = {
+        "method": setting.method, "domain": setting.domain, "seeds": [SEED], "steps": last, "profile": setting.profile,
+        "hyperparameters": setting.values, "device": device, **origin(plugins.package("collectors", setting.method)),
+    }  # fmt: skip
+    return Checkpoints(folder / f"{setting.method}-{domain_slug(setting.domain)}-{setting.profile}", decisive, every)
+
+
+class _Medians:
+    """The median of each minibatch of what the rule for k looks at."""
+
+    def __init__(self) -> None:
+        self.values: list[torch.Tensor] = []
+
+    def after_update(self, batch: Batch) -> None:
+        self.values.append(batch.kept["signal"].median())
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"values": torch.stack(self.values) if self.values else torch.empty(0)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.values = list(state["values"])

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cudc_bench.config import as_dict, config_hash
 from cudc_bench.errors import RunError
-from cudc_bench.files import write_atomically
+from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.manifest import Pilot
 
 from .loop import CollectConfig
@@ -63,7 +63,7 @@ def write_thresholds(path: Path, found: Iterable[Pilot]) -> None:
     try:
         write_atomically(path, f"{content}\n")
     except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}.") from None
+        raise unwritable(path, error) from None
 
 
 def settings_key(kind: Any, method: str, domain: str, loop: CollectConfig, config: Any) -> str:

@@ -6,18 +6,40 @@ Nothing heavy is imported before a command runs, so that ``--help`` answers at o
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated, Any
 
 import typer
 
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError
+from cudc_bench.interrupts import Interrupted
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 _ORDER = (
     "collect", "pilot", "import-exorl", "relabel", "evaluate", "render", "export", "leaderboard", "diagnostics", "verify", "list", "doctor",
 )  # fmt: skip
+
+
+class _Left(CudcBenchError):
+    """A run was interrupted and has kept its state; unlike the interruption itself, this gets past typer."""
+
+    def __init__(self, interrupted: Interrupted) -> None:
+        super().__init__(interrupted.message)
+        self.exit_code = interrupted.exit_code
+
+
+def _leaving_well(command: Callable[..., None]) -> Callable[..., None]:
+    @wraps(command)
+    def run(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except Interrupted as error:
+            raise _Left(error) from None
+
+    return run
 
 
 def _show_version(wanted: bool) -> None:
@@ -40,12 +62,12 @@ def build_app() -> typer.Typer:
     app.callback()(_root)
     names = plugins.names("commands")
     for name in sorted(names, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)):
-        app.command(name)(plugins.load("commands", name))
+        app.command(name)(_leaving_well(plugins.load("commands", name)))
     return app
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted."""
+    """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted (143 by SIGTERM)."""
     try:
         code = build_app()(arguments, standalone_mode=False)
         if code == 130:  # typer takes Ctrl-C for itself, and says nothing

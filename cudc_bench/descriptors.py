@@ -51,6 +51,9 @@ class Visits:
 
     Args:
         domain: one with ``descriptors``; 8 bytes are kept for each cell, 0.2 to 5 MB in the benchmark's own domains.
+
+    Attributes:
+        counts: visits to each cell (cells,), int64.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -58,7 +61,7 @@ class Visits:
         # The outer edges are left out: what lies beyond them goes to the border cells.
         self._edges = [np.linspace(bins.low, bins.high, bins.count + 1)[1:-1] for bins in domain.descriptors]
         self._shape = tuple(bins.count for bins in domain.descriptors)
-        self._counts = np.zeros(math.prod(self._shape), np.int64)
+        self.counts = np.zeros(math.prod(self._shape), np.int64)
 
     def add(self, quantities: Float64) -> None:
         """Count states by their quantities (N, Q), in the order and units of the domain's.
@@ -70,12 +73,12 @@ class Visits:
             raise RunError(f"physical quantities of {self._name} are not finite; the states are damaged (see cudc-bench verify).")
         bins = [np.searchsorted(edges, column, side="right") for edges, column in zip(self._edges, quantities.T, strict=True)]
         cells, visits = np.unique(np.ravel_multi_index(tuple(bins), self._shape), return_counts=True)
-        self._counts[cells] += visits
+        self.counts[cells] += visits
 
     @property
     def coverage(self) -> DescriptorCoverage:
         """Of all states so far."""
-        visited = self._counts[self._counts > 0]
+        visited = self.counts[self.counts > 0]
         return DescriptorCoverage(len(visited), shannon_entropy(visited))
 
 

@@ -26,6 +26,14 @@ class RunError(CudcBenchError):
     """Work that had started could not be finished; what was complete before is kept."""
 
 
+class BrokenDownError(RunError):
+    """The work itself went wrong, not what is around it: continued from where it stood, it would go wrong again."""
+
+
+class UnusableError(Exception):
+    """A checkpoint is whole, but what it refers to is not; the one before it may do."""
+
+
 def nearest(value: str, allowed: Iterable[str]) -> str:
     """Return ``" Did you mean 'x'?"`` for the closest allowed value, or an empty string when nothing is close."""
     matches = difflib.get_close_matches(value, list(allowed), n=1, cutoff=0.5)

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from contextlib import suppress
 from pathlib import Path
+
+from cudc_bench.errors import RunError
+
+
+def unwritable(what: object, error: OSError) -> RunError:
+    """The one failure for something that the system does not let us write."""
+    hint = "; free some space and run the same command again" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+    return RunError(f"cannot write {what}: {error.strerror or error}{hint}.")
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
@@ -35,3 +45,10 @@ def sync_tree(folder: Path) -> None:
         for name in files:
             sync(Path(place) / name)
         sync(Path(place))
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder and those below it as far as there is nothing in them."""
+    for place, _, _ in os.walk(folder, topdown=False):
+        with suppress(OSError):
+            os.rmdir(place)

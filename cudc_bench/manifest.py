@@ -131,6 +131,8 @@ class Manifest(BaseModel):
         hyperparameters, hyperparameters_hash: all values; none are known for an imported dataset.
         citation: the method's paper, as its plug-in names it.
         fields: SHA-256 of each field; ``fingerprint``: of all of them.
+        final_state: SHA-256 of the collector's state after the last step (networks, optimisers, random streams), all members of its stack
+            included; empty where it is not known. A relabelled dataset has its base's.
         base: of a relabelled dataset.
         reward: the user's function that labelled it, for a task that is none of the domain's own.
         pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
@@ -155,6 +157,7 @@ class Manifest(BaseModel):
     citation: str = ""
     fields: dict[str, _Sha256]
     fingerprint: _Sha256
+    final_state: _Sha256 | Literal[""] = ""
     base: Base | None = None
     reward: RewardFunction | None = None
     pilot: Pilot | None = None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
-from cudc_bench.errors import RunError
+from cudc_bench.errors import BrokenDownError
 
 
 def member_rows(metrics: Mapping[str, Tensor], step: int) -> list[dict[str, float]]:
@@ -18,12 +18,12 @@ def member_rows(metrics: Mapping[str, Tensor], step: int) -> list[dict[str, floa
         step: where the run stands, for the error.
 
     Raises:
-        RunError: a number is not finite; training has broken down.
+        BrokenDownError: a number is not finite; training has broken down.
     """
     values = {name: value.tolist() for name, value in metrics.items()}
     members = len(next(iter(values.values()), []))
     rows = [{name: value[member] for name, value in values.items()} for member in range(members)]
     broken = sorted({name for row in rows for name, value in row.items() if not math.isfinite(value)})
     if broken:
-        raise RunError(f"training broke down at step {step:,}: {', '.join(broken)} not finite; try a smaller learning_rate.")
+        raise BrokenDownError(f"training broke down at step {step:,}: {', '.join(broken)} not finite; try a smaller learning_rate.")
     return rows

@@ -29,7 +29,10 @@ DeviceOption = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto.
 LogOption = Annotated[str | None, typer.Option("--log", help="Also log the run to tensorboard or wandb (extras of those names).")]
 LogDirOption = Annotated[str, typer.Option("--log-dir", help="Folder of these logs.")]
 WorkersOption = Annotated[int | None, typer.Option("--workers", help="Processes on a CPU; one for each core by default.")]
+CheckpointEveryOption = Annotated[float, typer.Option("--checkpoint-every", min=0.0, help="Seconds between two checkpoints.")]
+FreshOption = Annotated[bool, typer.Option("--fresh", help="Start over where a run was interrupted, instead of continuing it.")]
 
+CHECKPOINT_EVERY = 60.0
 LOG_DIR = "runs"  # TensorBoard's own habit
 
 _RANGE = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")

@@ -9,21 +9,23 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from cudc_bench import interrupts
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.progress import bars
+from cudc_bench.progress import Advance, bars
 
-_queue: Any = None  # in a worker process: where progress is reported
-_leaving = False  # in a worker process: whether it has been told to leave
+# In a worker process:
+_queue: Any = None  # where progress is reported
+_busy = False  # whether it has a job
 
 
 @dataclass(frozen=True)
@@ -60,22 +62,25 @@ def cores() -> int:
 def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, workers: int, threads: int | None) -> list[Any]:
     """Run the jobs, at most ``workers`` at once, and return their results in order.
 
+    The first Ctrl-C, or a SIGTERM, asks the jobs to save their state and leave (see ``cudc_bench.interrupts``).
+
     Args:
         function: called as ``function(advance, **job.arguments)``.
         jobs: what to do.
         unit: what the bars count.
         workers: number of processes; with 1 the jobs run in this process, one after the other.
-        threads: CPU threads of each job; None shares the cores among the workers.
+        threads: CPU threads of each job; None shares the cores among the workers, though there may be fewer jobs. Results depend on it.
 
     Raises:
         RunError: a job failed, or its process died.
+        Interrupted: the jobs were asked to leave.
     """
     threads = threads or max(1, cores() // workers)
     with bars([(job.description, job.total) for job in jobs], unit) as advances:
-        if workers == 1:
-            with torch_threads(threads):
-                return [function(advance, **job.arguments) for job, advance in zip(jobs, advances, strict=True)]
-        return _run_in_processes(function, jobs, advances, workers, threads)
+        if min(workers, len(jobs)) > 1:
+            return _run_in_processes(function, jobs, advances, workers, threads)
+        with interrupts.leave_well():
+            return [_call(function, job, threads, advance) for job, advance in zip(jobs, advances, strict=True)]
 
 
 def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
@@ -83,67 +88,96 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
     queue = context.Queue()
     listener = threading.Thread(target=_listen, args=(queue, advances), daemon=True)
     listener.start()
-    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(queue, threads))
+    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(queue,))
+    with interrupts.leave_well(pass_on=partial(_signal_workers, signal.SIGTERM)):
+        try:
+            try:
+                # Workers inherit what is blocked: they never hear Ctrl-C, and SIGTERM only once they know what to do with it.
+                with _blocked():
+                    futures = [pool.submit(_work, function, job, index, threads) for index, job in enumerate(jobs)]
+                wait(futures, return_when=FIRST_EXCEPTION)
+                if interrupts.requested():
+                    wait(futures)
+                return _results(futures)
+            finally:
+                # After a failure, jobs that have not started are dropped and the running ones are waited for: they lose nothing.
+                pool.shutdown(wait=True, cancel_futures=True)
+        except BrokenProcessPool:
+            raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
+        except interrupts.Interrupted:
+            raise
+        except KeyboardInterrupt:
+            _signal_workers(signal.SIGKILL)
+            raise
+        finally:
+            queue.put(None)
+            listener.join()
+
+
+def _results(futures: Sequence[Future[Any]]) -> list[Any]:
+    """The results of jobs, or the error of the first that failed, or in one the places at which they were interrupted."""
+    errors = [error for one in futures if one.done() and (error := one.exception()) is not None]
+    stopped = [error for error in errors if isinstance(error, interrupts.Interrupted)]
+    if stopped:
+        raise interrupts.interrupted(", ".join(filter(None, (one.where for one in stopped))))
+    for error in errors:
+        raise error
+    return [future.result() for future in futures]
+
+
+def _signal_workers(number: int) -> None:
+    for child in multiprocessing.active_children():
+        if child.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(child.pid, number)
+
+
+@contextmanager
+def _blocked() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
-        futures = [pool.submit(_call, function, index, job.arguments) for index, job in enumerate(jobs)]
-        return [future.result() for future in futures]
-    except KeyboardInterrupt:
-        # From a terminal the workers were interrupted, too; a signal sent to this process alone has to be passed on.
-        for child in multiprocessing.active_children():
-            if child.pid is not None:
-                os.kill(child.pid, signal.SIGINT)
-        raise
-    except BrokenProcessPool:
-        raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
+        yield
     finally:
-        # After a failure, jobs that have not started are dropped and the running ones are waited for: they lose nothing.
-        pool.shutdown(wait=True, cancel_futures=True)
-        queue.put(None)
-        listener.join()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start_worker(queue: Any, threads: int) -> None:
+def _start_worker(queue: Any) -> None:
     global _queue
     _queue = queue
-    # Ctrl-C reaches every process of the terminal; a worker leaves quietly, through its own clean-up.
-    signal.signal(signal.SIGINT, _leave)
+    signal.signal(signal.SIGTERM, lambda number, _: interrupts.ask(number))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    import torch
-
-    torch.set_num_threads(threads)
-
-
-def _leave(*_: object) -> None:
-    global _leaving
-    _leaving = True
-    sys.exit(130)
-
-
-def _report(index: int, n: int) -> None:
-    """What a job in a worker calls to tell how far it is."""
-    # Python drops an exception that a signal raises inside a finaliser or a callback; the job would then go on for nobody.
-    if _leaving:
-        sys.exit(130)
-    _queue.put((index, n))
 
 
 def _leave_with_parent() -> None:
-    """End this worker when the process that wants its result was killed; it would compute to the end for nobody."""
+    """End this worker when the process that wants its results was killed: at once if it is idle, else when its job has saved its state."""
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os.kill(os.getpid(), signal.SIGINT)
+    if parent is None:
+        return
+    parent.join()
+    interrupts.ask(signal.SIGTERM)
+    while _busy:
+        time.sleep(0.05)
+    os._exit(1)
 
 
-def _call(function: Callable[..., Any], index: int, arguments: dict[str, Any]) -> Any:
+def _work(function: Callable[..., Any], job: Job, index: int, threads: int) -> Any:
+    global _busy
+    _busy = True
     try:
-        return function(partial(_report, index), **arguments)
-    except SystemExit:
-        # The job has cleaned up. The pool would now report this to the parent and wait for the next job, though nobody may be there.
-        parent = multiprocessing.parent_process()
-        if parent is not None and not parent.is_alive():
-            os._exit(130)
-        raise
+        return _call(function, job, threads, lambda n: _queue.put((index, n)))
+    finally:
+        _busy = False
+
+
+def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance) -> Any:
+    if interrupts.requested():
+        raise interrupts.interrupted("")  # this job has not even begun
+    try:
+        with torch_threads(threads):
+            return function(advance, **job.arguments)
+    except interrupts.Interrupted as error:
+        raise interrupts.interrupted(f"{job.description} {error.where}") from None
 
 
 def _listen(queue: Any, advances: list[Any]) -> None:

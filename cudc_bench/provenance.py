@@ -7,7 +7,6 @@ import os
 import platform
 import shlex
 import subprocess
-import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -75,11 +74,11 @@ def command_line(command: str, options: Mapping[str, str], overrides: Mapping[st
     return shlex.join([*words, *flags])
 
 
-def stamp(started: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
+def stamp(seconds: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
     """The fields of a manifest that say what it was made with, on what and when, apart from the command.
 
     Args:
-        started: ``time.monotonic()`` when the work began.
+        seconds: of work.
         device, threads: used for it.
         packages: versions of others that the result depends on, such as the package of a plug-in.
     """
@@ -89,9 +88,18 @@ def stamp(started: float, device: str = "cpu", threads: int = 1, packages: Mappi
         "commit": head,
         "dirty": dirty,
         "machine": machine(device, threads),
-        "seconds": round(time.monotonic() - started, 1),
+        "seconds": round(seconds, 1),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def origin(packages: Mapping[str, str]) -> dict[str, Any]:
+    """The code that a run's result depends on: a run that was interrupted goes on with the same, or not at all.
+
+    Args:
+        packages: as in :func:`stamp`.
+    """
+    return {"versions": versions() | dict(packages), "commit": commit()[0]}
 
 
 def machine(device: str, threads: int) -> dict[str, Any]:

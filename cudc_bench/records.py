@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cudc_bench.errors import RunError
-from cudc_bench.files import write_atomically
+from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.manifest import RewardFunction, Source
 
 SCHEMA_VERSION = 1
@@ -181,7 +181,7 @@ def write_record(path: Path, record: Record) -> None:
     try:
         write_atomically(path, record.model_dump_json(indent=1) + "\n")
     except OSError as error:
-        raise RunError(f"cannot write the record {path}: {error.strerror}.") from None
+        raise unwritable(f"the record {path}", error) from None
 
 
 def read_record(path: Path) -> Record:

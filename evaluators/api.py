@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,15 +17,17 @@ from cudc_bench.config import as_dict, build, changed, check_settings, config_ha
 from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import BrokenDownError, RunError, UsageError
+from cudc_bench.files import remove_empty
 from cudc_bench.ids import datasets_root, default_id, parse_id
+from cudc_bench.locks import locked
 from cudc_bench.manifest import Manifest, read_manifest
 from cudc_bench.networks import MemberRandom
-from cudc_bench.options import LOG_DIR, check_folder, check_seeds
+from cudc_bench.options import CHECKPOINT_EVERY, LOG_DIR, check_folder, check_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import Profile, resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.provenance import command_line, commit, machine, versions
+from cudc_bench.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.records import (
     DatasetReference,
     Evaluation,
@@ -101,7 +102,8 @@ def evaluate(
     log: str | None = None,
     log_dir: str | Path = LOG_DIR,
     policies: bool = True,
-    checkpoint_every: float = 60.0,
+    checkpoint_every: float = CHECKPOINT_EVERY,
+    fresh: bool = False,
 ) -> list[Path]:
     """Train offline algorithms on relabelled datasets and write one record for each (algorithm, method, seed, task).
 
@@ -131,13 +133,15 @@ def evaluate(
         log_dir: the folder of these logs; a run's own in it is ``evaluate/`` and its record's place below ``output``, less ``.json``.
         policies: keep the trained policy beside each record, for :func:`load_policy`.
         checkpoint_every: seconds between two checkpoints, which lie in ``.checkpoints`` in ``output`` until the record is written.
+        fresh: start over where a run was interrupted.
 
     Returns:
         The paths of all records, trained now or before.
 
     Raises:
-        UsageError: wrong input; nothing has been trained.
-        RunError: the run failed; the records written before stay.
+        UsageError: wrong input, or a run with other settings was interrupted; nothing has been trained.
+        RunError: the run failed; the records written before stay, and what the run had done until its last checkpoint is kept.
+        Interrupted: the process was asked to leave; what it had done is kept.
     """
     chosen = resolve_profile(profile)
     plans = _plans([algo] if isinstance(algo, str) else algo, chosen, dict(settings or {}), steps)
@@ -183,55 +187,84 @@ def evaluate(
         f" {gradient_steps:,} gradient steps, {device}"
         + (f"; {len(runs) - len(todo)} recorded before are kept" if len(todo) < len(runs) else "")
     )
-    groups = _groups(todo) if device == "cuda" else [[run] for run in todo]
+    if device == "cuda":
+        # A stack that was interrupted while its records were being written goes on as a whole.
+        left = set(todo)
+        groups = [
+            whole if _checkpoints(whole, results, device).folder.exists() else part
+            for whole in _groups(runs)
+            if (part := [run for run in whole if run in left])
+        ]
+        count = 1
+    else:
+        # The threads of each run, and so its result, must not depend on how many are left to do.
+        groups, count = [[run] for run in todo], worker_count(workers, len(runs))
+    if not fresh:
+        for group in groups:
+            _checkpoints(group, results, device).check(f"'{group[0].path}'" if len(group) == 1 else f"{len(group)} records in {results}")
     jobs = [
         Job(
             description=_describe(group),
             total=gradient_steps,
             arguments={
                 "runs": group, "device": device, "reward": None if custom is None else custom.reference,
-                "targets": [_target(run, log, logs, results) for run in group], "checkpoints": results / CHECKPOINTS,
-                "checkpoint_every": checkpoint_every, "policies": policies,
+                "targets": [_target(run, log, logs, results) for run in group], "results": results,
+                "checkpoint_every": checkpoint_every, "fresh": fresh, "overwrite": overwrite, "policies": policies,
             },
         )
         for group in groups
     ]  # fmt: skip
     if jobs:
-        count = 1 if device == "cuda" else worker_count(workers, len(jobs))
         run_jobs(evaluate_members, jobs, unit="gradient steps", workers=count, threads=chosen.threads)
     return [run.path for run in runs]
 
 
+def _checkpoints(runs: Sequence[Run], results: Path, device: str, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+    """Those of a stack, in a folder that is named by its records."""
+    plan = runs[0].plan
+    decisive = {
+        "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": [run.manifest.seed for run in runs], "used": runs[0].used,
+        "datasets": {run.dataset: run.manifest.fingerprint for run in runs}, "device": device,
+        **origin(plugins.package("evaluators", plan.algo)),
+    }  # fmt: skip
+    places = [run.path.relative_to(results).with_suffix("").as_posix() for run in runs]
+    place = places[0] if len(runs) == 1 else f"stacks/{plan.algo}-{config_hash({'records': places})}"
+    return Checkpoints(results / CHECKPOINTS / place, decisive, every)
+
+
 def evaluate_members(
-    advance: Advance, *, runs: list[Run], device: str, reward: str | None, targets: list[LogTarget | None], checkpoints: Path,
-    checkpoint_every: float, policies: bool,
+    advance: Advance, *, runs: list[Run], device: str, reward: str | None, targets: list[LogTarget | None], results: Path,
+    checkpoint_every: float, fresh: bool, overwrite: bool, policies: bool,
 ) -> None:  # fmt: skip
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
-    started = time.monotonic()
     plan, seeds = runs[0].plan, [run.manifest.seed for run in runs]
     facts = check_domain(runs[0].manifest.domain)
-    agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
-    data = load_members([run.dataset for run in runs], seeds, device, runs[0].used)
-    if agent.wants_next_action and int(data.lengths[data.lengths > 0].min()) < 2:
-        raise RunError(f"{plan.algo} needs episodes of at least two steps, which {runs[0].dataset} does not have throughout.")
-    arena = Arena(facts, [str(run.manifest.task) for run in runs] if reward is None else load_reward(reward, facts))
-    kept = Checkpoints(
-        checkpoints,
-        {
-            "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": seeds, "used": runs[0].used, "device": device,
-            "datasets": [[run.dataset, run.manifest.fingerprint] for run in runs], "versions": versions(),
-        },
-        checkpoint_every,
-    )  # fmt: skip
     with ExitStack() as stack:
+        for run in runs:
+            place = results / CHECKPOINTS / run.path.relative_to(results).with_suffix(".lock")
+            stack.enter_context(locked(place, f"'{run.path}'"))
+        if not overwrite and all(map(_done, runs)):
+            return  # by another process, while this one was starting
+        checkpoints = _checkpoints(runs, results, device, checkpoint_every)
+        if fresh:
+            checkpoints.remove()
+        agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
+        data = load_members([run.dataset for run in runs], seeds, device, runs[0].used)
+        if agent.wants_next_action and int(data.lengths[data.lengths > 0].min()) < 2:
+            raise RunError(f"{plan.algo} needs episodes of at least two steps, which {runs[0].dataset} does not have throughout.")
+        arena = Arena(facts, [str(run.manifest.task) for run in runs] if reward is None else load_reward(reward, facts))
         logs = [stack.enter_context(open_log(target)) for target in targets]
-        outcomes = run_evaluation(agent, data, plan.loop, arena, advance, logs, kept)
-    seconds = round(time.monotonic() - started, 1)
-    for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
-        if policies:
-            save_policy(agent, member, run.path)
-        write_record(run.path, _record(run, outcome, device, seconds))
-    kept.remove()
+        try:
+            outcomes = run_evaluation(agent, data, plan.loop, arena, advance, logs, checkpoints)
+        except BrokenDownError:
+            checkpoints.remove()
+            raise
+        for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
+            if policies:
+                save_policy(agent, member, run.path)
+            write_record(run.path, _record(run, outcome, device, round(checkpoints.seconds, 1)))
+        checkpoints.remove()
+    remove_empty(results / CHECKPOINTS)
 
 
 def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device | str, used: int | None = None) -> Episodes:

@@ -7,10 +7,13 @@ from typing import Annotated
 import typer
 
 from cudc_bench.options import (
+    CHECKPOINT_EVERY,
     LOG_DIR,
     AlgoOption,
+    CheckpointEveryOption,
     DeviceOption,
     DomainOption,
+    FreshOption,
     LogDirOption,
     LogOption,
     MethodOption,
@@ -49,7 +52,8 @@ def evaluate(
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
     policy: Annotated[bool, typer.Option("--policy/--no-policy", help="Keep the trained policy beside its record.")] = True,
-    checkpoint_every: Annotated[float, typer.Option("--checkpoint-every", min=0.0, help="Seconds between two checkpoints.")] = 60.0,
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    fresh: FreshOption = False,
 ) -> None:
     """Train offline algorithms on relabelled datasets and record its scores."""
     from cudc_bench.config import parse_settings
@@ -62,7 +66,7 @@ def evaluate(
         settings=parse_settings(settings or []), steps=steps, dataset_id=None if dataset_id is None else parse_names(dataset_id),
         dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
         device=device, workers=workers, log=log, log_dir=log_dir, policies=policy,
-        checkpoint_every=checkpoint_every,
+        checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip
     for path in paths:
         print(path)

@@ -14,7 +14,7 @@ from torch.export import Dim
 from cudc_bench.envs import check_domain, domain_title, env_id, make_simulators
 from cudc_bench.envs.layouts import action_names, observation_layout
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import write_atomically
+from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.options import check_folder
 from cudc_bench.provenance import versions
 
@@ -54,7 +54,7 @@ def export_policy(record: str | Path, output: str | Path | None = None) -> Path:
     try:
         write_atomically(path, content)
     except OSError as error:
-        raise RunError(f"cannot write the policy {path}: {error.strerror}.") from None
+        raise unwritable(f"the policy {path}", error) from None
     return path
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from pydantic import Field
 
+from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.config import PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
@@ -25,6 +26,7 @@ from cudc_bench.seeding import episode_seed
 from .base import Evaluator
 
 FINAL = "final evaluation"  # the purpose of the seeds of its episodes
+_TELL_EVERY = 100  # gradient steps
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,12 @@ class Arena:
         self._shares: list[slice] = []
 
     def returns(self, agent: Evaluator, seeds: Sequence[Sequence[int]]) -> Float64:
-        """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``."""
+        """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``.
+
+        Raises:
+            RunError: a simulation diverged.
+            Interrupted: the process was asked to leave; an evaluation is repeated as a whole.
+        """
         members, episodes = len(seeds), len(seeds[0])
         count = members * episodes
         threads = self._threads or (cores() if agent.device.type != "cpu" else torch.get_num_threads())
@@ -112,6 +119,8 @@ class Arena:
         # Torch's own threads would wait for their next work in a busy loop, on the cores that the simulators now need.
         with torch_threads(1 if others else torch.get_num_threads()), ThreadPoolExecutor(max(1, len(others))) as pool:
             for _ in range(self._domain.episode_length):
+                if interrupts.requested():
+                    raise interrupts.interrupted("")
                 stacked = torch.from_numpy(observations).view(members, episodes, -1).to(agent.device)
                 actions = agent.act(stacked).cpu().numpy().reshape(count, -1)
                 stepping = [pool.submit(step, share) for share in others]
@@ -150,7 +159,8 @@ def run_evaluation(
         logs: for each member or for none, take the training metrics and, as ``return_mean`` and ``final_return_mean``, the mean returns.
 
     Raises:
-        RunError: training diverged (a metric is not finite).
+        RunError: training diverged (a metric is not finite), or a simulation did.
+        Interrupted: the process was asked to leave; the state is kept.
     """
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
     outcomes = [Outcome([], [], []) for _ in agent.seeds]
@@ -159,39 +169,52 @@ def run_evaluation(
         for one, row in zip(logs, rows, strict=False):
             one.add(step, row)
 
-    def episode_seeds(purpose: str, step: int, episodes: int) -> list[list[int]]:
-        return [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds]
-
-    start = 0
-    if checkpoints is not None and (found := checkpoints.load(agent.device)) is not None:
-        start, state = found
+    def restore(_: int, state: dict[str, Any]) -> None:
         agent.load_state_dict(state["agent"])
         data.random.load_state_dict(state["draws"])
-        outcomes = [Outcome(*parts) for parts in state["outcomes"]]
-        advance(start)
+        outcomes[:] = [Outcome(*parts) for parts in state["outcomes"]]
+        for outcome, one in zip(outcomes, logs, strict=False):
+            measured = [(step, values) for step, values in outcome.metrics]
+            scored = [(step, {"return_mean": sum(returns) / len(returns)}) for step, returns in outcome.curve]
+            for step, values in sorted([*measured, *scored], key=lambda row: row[0]):
+                one.add(step, values)
 
+    def evaluate(purpose: str, episodes: int) -> Float64:
+        return arena.returns(agent, [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds])
+
+    step = start = 0 if checkpoints is None else checkpoints.load(restore, agent.device)
+    advance(start)
     told = start
-    for step in range(start, config.gradient_steps + 1):
-        if step % config.evaluate_every == 0 or step == config.gradient_steps:
-            returns = arena.returns(agent, episode_seeds("evaluation", step, config.evaluation_episodes))
-            for outcome, row in zip(outcomes, returns, strict=True):
-                outcome.curve.append((step, row.tolist()))
-            log(step, ({"return_mean": float(row.mean())} for row in returns))
-        if step == config.gradient_steps:
-            break
-        measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
-        metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action))
-        if measure:
-            rows = member_rows(metrics, step + 1)
-            for outcome, values in zip(outcomes, rows, strict=True):
-                outcome.metrics.append((step + 1, values))
-            log(step + 1, rows)
-        if (step + 1) % 100 == 0 or step + 1 == config.gradient_steps:
-            advance(step + 1 - told)
-            told = step + 1
-        if checkpoints is not None and checkpoints.due():
-            checkpoints.save(step + 1, _state(agent, data, outcomes))
-    returns = arena.returns(agent, episode_seeds(FINAL, config.gradient_steps, config.final_episodes))
+    try:
+        for step in range(start, config.gradient_steps + 1):
+            last = step == config.gradient_steps
+            if (step % config.evaluate_every == 0 or last) and (not outcomes[0].curve or outcomes[0].curve[-1][0] < step):
+                returns = evaluate("evaluation", config.evaluation_episodes)
+                for outcome, row in zip(outcomes, returns, strict=True):
+                    outcome.curve.append((step, row.tolist()))
+                log(step, ({"return_mean": float(row.mean())} for row in returns))
+            if checkpoints is not None and checkpoints.due():
+                checkpoints.save(step, _state(agent, data, outcomes))
+            if interrupts.requested():
+                raise interrupts.interrupted("")
+            if last:
+                break
+            measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
+            metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action))
+            if measure:
+                rows = member_rows(metrics, step + 1)
+                for outcome, values in zip(outcomes, rows, strict=True):
+                    outcome.metrics.append((step + 1, values))
+                log(step + 1, rows)
+            if step + 1 - told >= _TELL_EVERY or step + 1 == config.gradient_steps:
+                advance(step + 1 - told)
+                told = step + 1
+        returns = evaluate(FINAL, config.final_episodes)
+    except interrupts.Interrupted:
+        # Raised between two updates, or in the middle of an evaluation, which leaves no trace: the state is that after ``step`` updates.
+        if checkpoints is not None:
+            checkpoints.save(step, _state(agent, data, outcomes))
+        raise interrupts.interrupted(f"at gradient step {step:,} of {config.gradient_steps:,}") from None
     for outcome, row in zip(outcomes, returns, strict=True):
         outcome.final.extend(row.tolist())
     log(config.gradient_steps, ({"final_return_mean": float(row.mean())} for row in returns))

@@ -18,7 +18,7 @@ from cudc_bench import plugins
 from cudc_bench.config import field_names
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
-from cudc_bench.files import write_atomically
+from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.provenance import versions
 from cudc_bench.records import Record, read_record
 
@@ -81,7 +81,7 @@ def save_policy(agent: Evaluator, member: int, record: Path) -> None:
     try:
         write_atomically(path, content.getvalue())
     except OSError as error:
-        raise RunError(f"cannot write the policy {path}: {error.strerror}.") from None
+        raise unwritable(f"the policy {path}", error) from None
 
 
 def load_policy(record: str | Path) -> Policy:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import sync
+from cudc_bench.errors import UsageError
+from cudc_bench.files import sync, unwritable
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".mp4", ".gif")
@@ -81,7 +81,7 @@ def write_video(path: Path, frames: Iterable[Frame], count: int, fps: float) -> 
         sync(temporary)
         temporary.replace(path)
     except OSError as error:
-        raise RunError(f"cannot write the video {path}: {error.strerror or error}.") from None
+        raise unwritable(f"the video {path}", error) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)

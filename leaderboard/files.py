@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from cudc_bench.errors import RunError, UsageError, nearest
-from cudc_bench.files import write_atomically
+from cudc_bench.errors import UsageError, nearest
+from cudc_bench.files import unwritable, write_atomically
 
 T = TypeVar("T")
 
@@ -35,5 +35,5 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]
         for name, content in contents.items():
             write_atomically(folder / name, content)
     except OSError as error:
-        raise RunError(f"cannot write {error.filename or folder}: {error.strerror}.") from None
+        raise unwritable(error.filename or folder, error) from None
     return [folder / name for name in contents]

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench import plugins
+from cudc_bench import interrupts, plugins
 from cudc_bench.data.reader import read_episodes
-from cudc_bench.data.staging import publish, staging
+from cudc_bench.data.staging import checkpoints_path, publish, staging
 from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, fingerprint, read_manifest
-from cudc_bench.options import check_folder
+from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
+from cudc_bench.options import CHECKPOINT_EVERY, check_folder
 from cudc_bench.progress import bars, say
-from cudc_bench.provenance import command_line, stamp
+from cudc_bench.provenance import command_line, origin, stamp
 
 from .linked import write_linked
 
@@ -36,6 +39,8 @@ def relabel(
     check_only: bool = False,
 ) -> list[str]:
     """Compute the rewards of tasks from a dataset's physics states and write one Minari dataset for each task.
+
+    A relabelled dataset that exists and is what this would make is kept. Rewards that an interrupted process had computed are used.
 
     Args:
         dataset_id: a task-agnostic dataset.
@@ -52,6 +57,7 @@ def relabel(
     Raises:
         UsageError: wrong input; nothing has been written.
         RunError: the dataset is damaged or cannot be written.
+        Interrupted: the process was asked to leave; the rewards so far are kept.
     """
     base_id = parse_id(dataset_id)
     base = read_manifest(base_id)
@@ -70,72 +76,131 @@ def relabel(
     if not chosen:
         raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
     ids = {task: base_id.for_task(task) for task in chosen}
-    for one in ids.values():
-        check_free(one, overwrite)
+    function = None if custom is None else RewardFunction(reference=custom.reference, sha256=custom.sha256)
+    left = {}
+    for task, one in ids.items():
+        if overwrite or not _is_made(base, base_id, one, task, function, standalone):
+            check_free(one, overwrite)
+            left[task] = one
     check_folder(datasets_root(), "the dataset root")
     if check_only:
         return [str(one) for one in ids.values()]
 
-    say(f"relabel {base_id} ({base.describe()}) for {', '.join(chosen)}")
+    for task, one in ids.items():
+        if task not in left:
+            say(f"{one} was made from this very base: kept")
+    if not left:
+        return [str(one) for one in ids.values()]
+    say(f"relabel {base_id} ({base.describe()}) for {', '.join(left)}")
     started = time.monotonic()
-    rewards = _rewards(base_id, base, facts, chosen, custom)
-    # The tasks' datasets share observations and actions.
-    coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
-    for index, (task, one) in enumerate(ids.items()):
-        columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
-        _write(base, base_id, one, task, custom, columns, standalone, started, coverage)
-        mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
-        say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
+    with ExitStack() as stack:
+        folders = {task: stack.enter_context(staging(one, resume=True)) for task, one in left.items()}
+        if not overwrite and all(_is_made(base, base_id, one, task, function, standalone) for task, one in left.items()):
+            return [str(one) for one in ids.values()]  # by another process, while this one was starting
+        stack.enter_context(interrupts.leave_well())
+        rewards = _rewards(base_id, base, facts, tuple(left), custom, checkpoints_path(next(iter(left.values()))))
+        # The tasks' datasets share observations and actions.
+        coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
+        for index, (task, one) in enumerate(left.items()):
+            columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
+            _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+            mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
+            say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
     return [str(one) for one in ids.values()]
 
 
+def _is_made(base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, reward: RewardFunction | None, standalone: bool) -> bool:
+    """Whether the dataset of that id exists and is what this would make."""
+    try:
+        there = read_manifest(dataset_id) if exists(dataset_id) else None
+    except (UsageError, RunError):
+        return False
+    origin = Base(id=str(base_id), fingerprint=base.fingerprint, linked=not standalone)
+    return there is not None and (there.task, there.base, there.reward) == (task, origin, reward)
+
+
 def _rewards(
-    base_id: DatasetId, base: Manifest, domain: Domain, tasks: tuple[str, ...], custom: CustomReward | None
+    base_id: DatasetId, base: Manifest, domain: Domain, tasks: tuple[str, ...], custom: CustomReward | None, kept: Path
 ) -> list[NDArray[np.float32]]:
-    """Rewards (T, tasks) of each episode of a dataset, with memory for one episode beside them."""
+    """Rewards (T, tasks) of each episode of a dataset, with memory for one episode beside them.
+
+    Args:
+        base_id, base, domain: of the dataset.
+        tasks: in the order of the columns.
+        custom: an own reward function instead.
+        kept: where those that an interrupted process computed lie, and will lie.
+    """
     relabeler = plugins.load("relabelers", domain.relabeler)(domain)
     columns = [domain.tasks.index(task) for task in tasks if task in domain.tasks]
     names = ("infos/physics", "actions", *(() if custom is None else ("observations",)))
-    found = []
+    decisive = {"base": base.fingerprint, "tasks": list(tasks), "reward": None if custom is None else custom.sha256, **origin({})}
+    found = _resume(kept, decisive)
+    last = time.monotonic()
     with bars([("rewards", base.steps)], "states") as (advance,):
-        for episode in read_episodes(base_id, names):
+        for index, episode in enumerate(read_episodes(base_id, names)):
             # Row 0 of an episode is its reset, which no action led to.
             states, actions = episode["infos/physics"][1:], episode["actions"]
-            if custom is None:
-                rewards = relabeler.rewards(states, actions)[:, columns]
-            else:
-                quantities = relabeler.quantities(states, actions)
-                rewards = custom(Measured(domain, quantities, states, actions, episode["observations"][1:]))[:, None]
-            found.append(rewards.astype(np.float32))
+            if index >= len(found):
+                if custom is None:
+                    rewards = relabeler.rewards(states, actions)[:, columns]
+                else:
+                    quantities = relabeler.quantities(states, actions)
+                    rewards = custom(Measured(domain, quantities, states, actions, episode["observations"][1:]))[:, None]
+                found.append(rewards.astype(np.float32))
             advance(len(actions))
+            if interrupts.requested() or time.monotonic() - last > CHECKPOINT_EVERY:
+                _keep(kept, decisive, found)
+                last = time.monotonic()
+            if interrupts.requested():
+                raise interrupts.interrupted(f"relabelling {base_id} after {len(found):,} of {base.episodes:,} episodes")
+    return found
+
+
+def _keep(folder: Path, decisive: dict[str, Any], rewards: list[NDArray[np.float32]]) -> None:
+    # Only a run that lasts needs them, and with them PyTorch.
+    import torch
+
+    from cudc_bench.checkpoints import Checkpoints
+
+    Checkpoints(folder, decisive).save(len(rewards), {"rewards": [torch.from_numpy(one) for one in rewards]})
+
+
+def _resume(folder: Path, decisive: dict[str, Any]) -> list[NDArray[np.float32]]:
+    found: list[NDArray[np.float32]] = []
+    if folder.exists():
+        from cudc_bench.checkpoints import Checkpoints
+
+        checkpoints = Checkpoints(folder, decisive)
+        checkpoints.load(lambda _, state: found.extend(one.numpy() for one in state["rewards"]))
+        if not found:
+            checkpoints.remove()  # of other rewards, which are computed anew whenever somebody wants them
     return found
 
 
 def _write(
-    base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, custom: CustomReward | None,
-    rewards: list[NDArray[np.float32]], standalone: bool, started: float, coverage: Coverage,
+    base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, reward: RewardFunction | None,
+    rewards: list[NDArray[np.float32]], standalone: bool, started: float, coverage: Coverage, folder: Path,
 ) -> None:  # fmt: skip
     hasher = FieldHasher()
     for episode in rewards:
         hasher.update("rewards", episode)
     fields = base.fields | hasher.digests()
     flags = ["--standalone"] if standalone else []
-    options = {"--task": task} if custom is None else {"--reward": custom.reference}
+    options = {"--task": task} if reward is None else {"--reward": reward.reference}
     manifest = base.model_copy(
         update={
             "task": task,
             "fields": fields,
             "fingerprint": fingerprint(fields),
             "base": Base(id=str(base_id), fingerprint=base.fingerprint, linked=not standalone),
-            "reward": None if custom is None else RewardFunction(reference=custom.reference, sha256=custom.sha256),
+            "reward": reward,
             "command": command_line(f"relabel {base_id}", options, {}, *flags),
         }
-        | stamp(started)
+        | stamp(time.monotonic() - started)
     )
-    origin = f"{base.domain} {task}" if custom is None else f"the function {custom.reference}"
-    description = f"{base_id} with the rewards of {origin}; reward t is that of the state which action t led to."
-    with staging(dataset_id) as folder:
-        source = dataset_path(base_id) / "data" / MAIN_FILE
-        write_linked(source, folder / "data", dataset_path(dataset_id) / "data", rewards, standalone)
-        write_metadata(folder / "data", manifest, str(dataset_id), description, coverage)
-        publish(folder, dataset_id)
+    labels = f"{base.domain} {task}" if reward is None else f"the function {reward.reference}"
+    description = f"{base_id} with the rewards of {labels}; reward t is that of the state which action t led to."
+    shutil.rmtree(folder, ignore_errors=True)
+    write_linked(dataset_path(base_id) / "data" / MAIN_FILE, folder / "data", dataset_path(dataset_id) / "data", rewards, standalone)
+    write_metadata(folder / "data", manifest, str(dataset_id), description, coverage)
+    publish(folder, dataset_id)

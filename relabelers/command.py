@@ -40,7 +40,7 @@ def relabel(
     from cudc_bench.envs import check_domain, check_tasks
     from cudc_bench.envs.rewards import load_reward
     from cudc_bench.ids import default_id
-    from cudc_bench.manifest import check_free
+    from cudc_bench.manifest import check_free, exists
     from cudc_bench.progress import say
     from cudc_bench.stages import check_collected, ensure_collected
 
@@ -54,7 +54,10 @@ def relabel(
             for seed in numbers:
                 facts = check_domain(domain)
                 for task in check_tasks(facts, chosen) if reward is None else (load_reward(reward, facts).name,):
-                    check_free(default_id(domain, name, seed).for_task(task), overwrite)
+                    base = default_id(domain, name, seed)
+                    # Whether a relabelled dataset fits its base is known once there is one.
+                    if not exists(base):
+                        check_free(base.for_task(task), overwrite)
         for name in methods:
             wanted += ensure_collected(name, domain, numbers, profile=profile, workers=workers)
     if not wanted:

@@ -296,13 +296,14 @@ def test_workers_leave_when_the_process_that_started_them_is_killed(environment:
     try:
         locks = [datasets / "walker" / f".{name}-v0.lock" for name in ("random", "random-seed2")]
         wait_until(lambda: all(lock.exists() and lock.read_text() for lock in locks))
-        workers = [int(lock.read_text()) for lock in locks]
+        workers = [int(lock.read_text().split()[0]) for lock in locks]
     finally:
         process.kill()
         process.communicate()
     wait_until(lambda: not any(is_running(worker) for worker in workers))
-    # They left through their clean-up.
-    assert [path.name for path in (datasets / "walker").iterdir()] == []
+    # They have saved their states and let go of their locks.
+    assert sorted(path.name for path in (datasets / "walker").iterdir()) == [".random-seed2-v0.building", ".random-v0.building"]
+    assert len(list(datasets.rglob("*.pt"))) == 2
 
 
 def wait_until(true: Callable[[], bool]) -> None:

@@ -5,77 +5,63 @@ Minari skips names that start with a dot, so nothing half-written is ever listed
 
 from __future__ import annotations
 
-import errno
-import fcntl
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
-from cudc_bench.errors import RunError
-from cudc_bench.files import sync, sync_tree, write_atomically
+from cudc_bench.errors import BrokenDownError
+from cudc_bench.files import sync, sync_tree, unwritable, write_atomically
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root
+from cudc_bench.locks import locked
 
 
 @contextmanager
-def staging(dataset_id: DatasetId, root: Path | None = None) -> Iterator[Path]:
-    """A fresh hidden folder in which to build a dataset; :func:`publish` it before leaving.
+def staging(dataset_id: DatasetId, root: Path | None = None, resume: bool = False) -> Iterator[Path]:
+    """A hidden folder in which to build a dataset, or the folder that becomes it; :func:`publish` that before leaving.
 
-    What an earlier, killed process left there is removed; a dataset that it was just about to replace comes back. A folder that is
-    not published is removed, too.
+    What an earlier, killed process left there is removed; a dataset that it was just about to replace comes back. On leaving, the folder
+    is removed, too.
+
+    Args:
+        dataset_id: what is built.
+        root: instead of Minari's.
+        resume: what lies there is continued, and stays after an error if there is a checkpoint (see :func:`checkpoints_path`) to continue
+            from, except where that would only fail again.
 
     Raises:
         RunError: another living process is building this id, or the root cannot be written.
     """
     final = dataset_path(dataset_id, root)
-    folder = final.with_name(f".{final.name}.building")
+    folder = building_path(dataset_id, root)
     try:
-        final.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(final.with_name(f".{final.name}.lock"), dataset_id):
-            shutil.rmtree(folder, ignore_errors=True)
+        with locked(final.with_name(f".{final.name}.lock"), f"'{dataset_id}'"):
+            if not resume:
+                shutil.rmtree(folder, ignore_errors=True)
             replaced = _replaced(final)
             if replaced.exists() and not final.exists():
                 replaced.rename(final)
-            folder.mkdir()
+            folder.mkdir(exist_ok=resume)
             try:
                 yield folder
-            finally:
-                shutil.rmtree(folder, ignore_errors=True)
+            except BaseException as error:
+                if not (resume and any(checkpoints_path(dataset_id, root).glob("*.pt"))) or isinstance(error, BrokenDownError):
+                    shutil.rmtree(folder, ignore_errors=True)
+                raise
+            shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
-        reason = error.strerror or str(error)
-        hint = "; free some space and run the same command again" if error.errno == errno.ENOSPC else ""
-        raise RunError(f"cannot write '{dataset_id}' below {final.parent}: {reason}{hint}.") from error
+        raise unwritable(f"'{dataset_id}' below {final.parent}", error) from error
 
 
-@contextmanager
-def _locked(path: Path, dataset_id: DatasetId) -> Iterator[None]:
-    """Hold a lock that the system itself releases when the process dies."""
-    while True:
-        with path.open("a+") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                file.seek(0)
-                raise RunError(f"process {file.read().strip() or 'unknown'} is writing '{dataset_id}'; wait for it to end.") from None
-            if not _is_at(path, file):
-                continue  # the holder before us removed it after we had opened it; others lock a new file of that name
-            file.truncate(0)
-            file.write(str(os.getpid()))
-            file.flush()
-            try:
-                yield
-            finally:
-                path.unlink(missing_ok=True)
-            return
+def building_path(dataset_id: DatasetId, root: Path | None = None) -> Path:
+    """The folder of :func:`staging`, whether or not it exists."""
+    final = dataset_path(dataset_id, root)
+    return final.with_name(f".{final.name}.building")
 
 
-def _is_at(path: Path, file: IO[str]) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except FileNotFoundError:
-        return False
+def checkpoints_path(dataset_id: DatasetId, root: Path | None = None) -> Path:
+    """Where the checkpoints of a dataset lie while it is being built."""
+    return building_path(dataset_id, root) / "checkpoints"
 
 
 def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Path:

@@ -7,6 +7,8 @@ contiguous storage, which is smaller and faster than Minari's chunked one and re
 from __future__ import annotations
 
 import json
+import shutil
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.errors import UnusableError
 from cudc_bench.files import sync
 from cudc_bench.manifest import KEY, FieldHasher, Manifest
 
@@ -71,8 +74,8 @@ class EpisodeShards:
         self._folder = folder
         self._limit = episodes_per_shard
         self._pending: list[Episode] = []
-        self._shards: list[Path] = []
-        folder.mkdir(parents=True, exist_ok=True)
+        self._sums: list[list[int]] = []  # size and CRC-32 of each shard
+        self._info_names: list[str] = []
 
     def add(self, episode: Episode) -> None:
         """Keep one episode; its arrays are copied."""
@@ -82,10 +85,34 @@ class EpisodeShards:
         if len(self._pending) >= self._limit:
             self._flush()
 
+    def state_dict(self) -> dict[str, Any]:
+        """What :meth:`load_state_dict` needs to find all episodes added so far, which are on the disk when this returns."""
+        self._flush()
+        return {"sums": [list(one) for one in self._sums], "infos": list(self._info_names)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to the episodes that had been added when ``state_dict`` was called; those added later are forgotten.
+
+        Raises:
+            UnusableError: a shard is missing, or is not as it was; nothing has changed.
+        """
+        for index, expected in enumerate(state["sums"]):
+            try:
+                found = _checksum(self._path(index))
+            except OSError:
+                found = []
+            if found != expected:
+                raise UnusableError
+        self._sums, self._info_names, self._pending = [list(one) for one in state["sums"]], list(state["infos"]), []
+
+    def _path(self, index: int) -> Path:
+        return self._folder / f"{index:06d}.npy"
+
     def _flush(self) -> None:
         if not self._pending:
             return
-        path = self._folder / f"{len(self._shards):06d}.npy"
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._path(len(self._sums))
         temporary = path.with_suffix(".tmp")
         with temporary.open("wb") as file:
             for episode in self._pending:
@@ -97,15 +124,16 @@ class EpisodeShards:
                     np.save(file, array, allow_pickle=False)
         sync(temporary)
         temporary.replace(path)
-        self._shards.append(path)
+        sync(self._folder)
+        self._sums.append(_checksum(path))
         self._info_names = sorted(self._pending[0].infos)
         self._pending.clear()
 
     def __iter__(self) -> Iterator[Episode]:
         """All episodes in the order in which they were added, one in memory at a time."""
         self._flush()
-        for path in self._shards:
-            with path.open("rb") as file:
+        for index in range(len(self._sums)):
+            with self._path(index).open("rb") as file:
                 while file.peek(1):
                     seed, has_seed, has_rewards = np.load(file, allow_pickle=False)
                     observations = np.load(file, allow_pickle=False)
@@ -116,9 +144,16 @@ class EpisodeShards:
 
     def remove(self) -> None:
         """Delete the shards: the dataset is complete without them."""
-        for path in self._shards:
-            path.unlink()
-        self._folder.rmdir()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _checksum(path: Path) -> list[int]:
+    """Size and CRC-32 of a file."""
+    size, crc = 0, 0
+    with path.open("rb") as file:
+        while part := file.read(1 << 20):
+            size, crc = size + len(part), zlib.crc32(part, crc)
+    return [size, crc]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench.envs.domains import Domain
-from cudc_bench.errors import RunError
+from cudc_bench.errors import BrokenDownError
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -23,7 +23,7 @@ PHYSICS = int(mujoco.mjtState.mjSTATE_PHYSICS)
 _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
-class DivergedError(RunError):
+class DivergedError(BrokenDownError):
     """MuJoCo met a non-finite or huge number; by itself it would have teleported to the initial state and gone on."""
 
 

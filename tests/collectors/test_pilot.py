@@ -40,7 +40,7 @@ class Ignores:
     def add_episode(self, *arguments):
         pass
 
-    def add_diagnostics(self, row):
+    def add_diagnostics(self, row, steps_per_second):
         pass
 
 

@@ -1,18 +1,83 @@
-"""Jobs in other processes."""
+"""Jobs in other processes, and how they end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import Any
 
 import pytest
 
-from cudc_bench import parallel
+from cudc_bench import interrupts
+from cudc_bench.errors import RunError
+from cudc_bench.parallel import Job, run_jobs
 
 
-def test_a_worker_leaves_at_its_next_report_if_the_signal_was_swallowed(monkeypatch):
-    """As in a finaliser, where Python reports what was raised and goes on."""
-    said = []
-    monkeypatch.setattr(parallel, "_queue", type("Queue", (), {"put": staticmethod(said.append)}))
-    monkeypatch.setattr(parallel, "_leaving", False)
-    parallel._report(3, 200)
-    with pytest.raises(SystemExit):
-        parallel._leave()
-    with pytest.raises(SystemExit):
-        parallel._report(3, 200)
-    assert said == [(3, 200)]
+def counting(advance: Any, *, upto: int, fail: bool = False) -> int:
+    """A job that looks at each step whether it shall leave."""
+    for step in range(upto):
+        if interrupts.requested():
+            raise interrupts.interrupted(f"at {step} of {upto}")
+        if fail and step == 3:
+            raise RunError("three is too many")
+        advance(1)
+        time.sleep(0.01)
+    return upto
+
+
+def stopping(advance: Any, *, upto: int, number: int) -> int:
+    """A job during which somebody sends the process that started it a signal."""
+    os.kill(os.getppid(), number)
+    return counting(advance, upto=upto)
+
+
+def threads(advance: Any) -> int:
+    import torch
+
+    return torch.get_num_threads()
+
+
+def jobs(*arguments: dict[str, Any]) -> list[Job]:
+    return [Job(f"job {index}", 10, one) for index, one in enumerate(arguments)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_order_and_a_failure_is_what_failed(workers: int) -> None:
+    assert run_jobs(counting, jobs({"upto": 4}, {"upto": 2}, {"upto": 3}), unit="steps", workers=workers, threads=1) == [4, 2, 3]
+    with pytest.raises(RunError, match=r"^three is too many$"):
+        run_jobs(counting, jobs({"upto": 5}, {"upto": 9, "fail": True}, {"upto": 5}), unit="steps", workers=workers, threads=1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_asked_to_leave_all_workers_leave_where_they_are(number: int, capfd: pytest.CaptureFixture[str]) -> None:
+    todo = jobs({"upto": 3000, "number": number}, {"upto": 3000, "number": 0}, {"upto": 3000, "number": 0})
+    with pytest.raises(interrupts.Interrupted) as caught:
+        run_jobs(stopping, todo, unit="steps", workers=2, threads=1)
+    assert caught.value.exit_code == 128 + number
+    assert caught.value.message.startswith("interrupted: job 0 at ")
+    assert caught.value.message.endswith(" of 3000; the same command continues from there.")
+    assert capfd.readouterr().err.count("interrupt once more to stop at once") == 1
+    # It is over for whoever goes on in this process.
+    assert not interrupts.requested()
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_in_this_process_the_first_signal_asks_and_the_second_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    def twice(advance: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)  # at once: some senders address the process, and then its group
+        assert interrupts.requested()
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AssertionError("it went on")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_jobs(twice, jobs({}), unit="steps", workers=1, threads=1)
+    assert not isinstance(caught.value, interrupts.Interrupted)
+
+
+def test_threads_do_not_depend_on_how_many_jobs_are_left() -> None:
+    assert run_jobs(threads, jobs({}), unit="steps", workers=1, threads=3) == [3]
+    alone = run_jobs(threads, jobs({}), unit="steps", workers=2, threads=None)
+    assert alone == run_jobs(threads, jobs({}, {}, {}), unit="steps", workers=2, threads=None)[:1]

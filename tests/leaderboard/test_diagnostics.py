@@ -32,7 +32,7 @@ HOSTILE = "[red]x[/red] $\\frac{$ <b> &amp; \x1b[31m\n ]]>"
 
 def learning(k: Sequence[float] = (3, 3, 4, 5), scale: float = 1.0) -> list[dict[str, Any]]:
     """Lines as a learner writes them, the first before its first update."""
-    rows: list[dict[str, Any]] = [{"step": 1000, "updates": 0, "steps_per_second": 9.0, "coverage_cells": 5, "coverage_entropy": 1.5}]
+    rows: list[dict[str, Any]] = [{"step": 1000, "updates": 0, "coverage_cells": 5, "coverage_entropy": 1.5}]
     for index, value in enumerate(k):
         losses = {name: scale * (number + 1) / (index + 1) for number, name in enumerate(LOSSES)}
         rows.append(rows[0] | losses | {"step": 1000 * (index + 2), "updates": 100 * (index + 1), "k": float(value)})

@@ -1,0 +1,98 @@
+"""One writer at a time: locks that name who holds them and that the system releases when their holder dies."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO
+
+from cudc_bench.errors import RunError
+from cudc_bench.files import unwritable
+
+
+@contextmanager
+def locked(path: Path, what: str) -> Iterator[None]:
+    """Hold a lock file, which is removed in the end; one that a dead process left is taken over.
+
+    Args:
+        path: of the lock file; its folder is made.
+        what: it protects, for the message.
+
+    Raises:
+        RunError: a living process holds it, or it cannot be written.
+    """
+    try:
+        file = _take(path, what)
+    except OSError as error:
+        raise unwritable(what, error) from None
+    with file:
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _take(path: Path, what: str) -> IO[str]:
+    while True:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context(path.open("a+"))
+            except FileNotFoundError:
+                continue  # somebody removed the folder, which was empty
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if (holder := _holder(file)) is None:
+                    continue  # it has just left
+                raise RunError(f"{holder} is writing {what}; wait for it to end.") from None
+            if not _is_at(path, file):
+                continue  # the holder before us removed it after we had opened it; others lock a new file of that name
+            file.truncate(0)
+            file.write(f"{os.getpid()} {platform.node()}")
+            file.flush()
+            stack.pop_all()
+            return file
+
+
+def _holder(file: IO[str]) -> str | None:
+    """Who holds a lock: ``"process 123"``, with the machine if it is another one; None once nobody does.
+
+    A holder writes its number right after it has taken the lock, so what stands there at first may be nothing, or somebody's who died.
+    """
+    deadline = time.monotonic() + 1.0
+    while time.monotonic() < deadline:
+        file.seek(0)
+        number, _, machine = file.read(200).partition(" ")
+        if machine and machine != platform.node():
+            return f"process {number} on {machine}"
+        if number.isdecimal() and _lives(int(number)):
+            return f"process {number}"
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return None
+        except BlockingIOError:
+            time.sleep(0.005)
+    return "another process"
+
+
+def _lives(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _is_at(path: Path, file: IO[str]) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
