@@ -14,7 +14,7 @@ import torch
 from cudc_bench import plugins
 from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.config import config_hash
-from cudc_bench.data.staging import checkpoints_path, publish, staging
+from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
 from cudc_bench.data.writer import write_episodes, write_metadata
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import RunError, UsageError
@@ -106,6 +106,7 @@ def collect(
         return [str(one) for one in ids]
 
     for one in done:
+        tidy(one)
         say(f"{one} was made by this very run: kept")
     if not runs:
         return [str(one) for one in ids]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,10 +17,29 @@ def unwritable(what: object, error: OSError) -> RunError:
     return RunError(f"cannot write {what}: {error.strerror or error}{hint}.")
 
 
+def lives(process: int) -> bool:
+    """Whether a process of this machine is running."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
+
+
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file (text as UTF-8) through a temporary neighbour, fsync and one rename."""
+    """Write a file (text as UTF-8) through a temporary neighbour, fsync and one rename.
+
+    What a process of this machine left that was killed while it did the same is removed.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    mine = f".{path.name}.{platform.node()}."
+    temporary = path.with_name(f"{mine}{os.getpid()}.tmp")
+    for other in os.listdir(path.parent):
+        number = other.removeprefix(mine).removesuffix(".tmp")
+        if other == f"{mine}{number}.tmp" and number.isdecimal() and not lives(int(number)):
+            path.with_name(other).unlink(missing_ok=True)
     try:
         with temporary.open("wb") as file:
             file.write(content.encode() if isinstance(content, str) else content)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from cudc_bench.errors import RunError
-from cudc_bench.files import unwritable
+from cudc_bench.files import lives, unwritable
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def _holder(file: IO[str]) -> str | None:
         number, _, machine = file.read(200).partition(" ")
         if machine and machine != platform.node():
             return f"process {number} on {machine}"
-        if number.isdecimal() and _lives(int(number)):
+        if number.isdecimal() and lives(int(number)):
             return f"process {number}"
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -79,16 +79,6 @@ def _holder(file: IO[str]) -> str | None:
         except BlockingIOError:
             time.sleep(0.005)
     return "another process"
-
-
-def _lives(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def _is_at(path: Path, file: IO[str]) -> bool:

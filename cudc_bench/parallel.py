@@ -89,29 +89,42 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
     listener = threading.Thread(target=_listen, args=(queue, advances), daemon=True)
     listener.start()
     pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(queue,))
-    with interrupts.leave_well(pass_on=partial(_signal_workers, signal.SIGTERM)):
-        try:
-            try:
-                # Workers inherit what is blocked: they never hear Ctrl-C, and SIGTERM only once they know what to do with it.
-                with _blocked():
-                    futures = [pool.submit(_work, function, job, index, threads) for index, job in enumerate(jobs)]
-                wait(futures, return_when=FIRST_EXCEPTION)
-                if interrupts.requested():
-                    wait(futures)
-                return _results(futures)
-            finally:
-                # After a failure, jobs that have not started are dropped and the running ones are waited for: they lose nothing.
-                pool.shutdown(wait=True, cancel_futures=True)
-        except BrokenProcessPool:
-            raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
-        except interrupts.Interrupted:
-            raise
-        except KeyboardInterrupt:
-            _signal_workers(signal.SIGKILL)
-            raise
-        finally:
-            queue.put(None)
-            listener.join()
+    try:
+        # In this order: a second Ctrl-C must not wait for the workers, neither while they work nor while they finish.
+        with interrupts.leave_well(pass_on=partial(_signal_workers, signal.SIGTERM)), _or_killed(), _finished(pool), _or_killed():
+            # Workers inherit what is blocked: they never hear Ctrl-C, and SIGTERM only once they know what to do with it.
+            with _blocked():
+                futures = [pool.submit(_work, function, job, index, threads) for index, job in enumerate(jobs)]
+            wait(futures, return_when=FIRST_EXCEPTION)
+            if interrupts.requested():
+                wait(futures)
+            return _results(futures)
+    except BrokenProcessPool:
+        raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
+    finally:
+        queue.put(None)
+        listener.join()
+
+
+@contextmanager
+def _finished(pool: ProcessPoolExecutor) -> Iterator[None]:
+    """After a failure, jobs that have not started are dropped and the running ones are waited for: they lose nothing."""
+    try:
+        yield
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _or_killed() -> Iterator[None]:
+    """Kill the workers if this process is to stop at once."""
+    try:
+        yield
+    except interrupts.Interrupted:
+        raise
+    except KeyboardInterrupt:
+        _signal_workers(signal.SIGKILL)
+        raise
 
 
 def _results(futures: Sequence[Future[Any]]) -> list[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -181,6 +181,9 @@ def evaluate(
         for used in _used(sizes, one, manifest)
     ]
     todo = [run for run in runs if overwrite or not _done(run)]
+    for run in runs:
+        if run not in todo:
+            _tidy(run, results, device)
     gradient_steps = plans[0].loop.gradient_steps
     say(
         f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(domains)}: profile {chosen.name}, {len(runs)} runs of"
@@ -189,11 +192,10 @@ def evaluate(
     )
     if device == "cuda":
         # A stack that was interrupted while its records were being written goes on as a whole.
-        left = set(todo)
         groups = [
             whole if _checkpoints(whole, results, device).folder.exists() else part
             for whole in _groups(runs)
-            if (part := [run for run in whole if run in left])
+            if (part := [run for run in whole if run in todo])
         ]
         count = 1
     else:
@@ -232,6 +234,19 @@ def _checkpoints(runs: Sequence[Run], results: Path, device: str, every: float =
     return Checkpoints(results / CHECKPOINTS / place, decisive, every)
 
 
+def _lock(run: Run, results: Path) -> Path:
+    return results / CHECKPOINTS / run.path.relative_to(results).with_suffix(".lock")
+
+
+def _tidy(run: Run, results: Path, device: str) -> None:
+    """Remove what a process left that was killed just after it had written a record; nothing if somebody is writing it again."""
+    checkpoints, lock = _checkpoints([run], results, device), _lock(run, results)
+    if checkpoints.folder.exists() or lock.exists():
+        with suppress(RunError), locked(lock, ""):
+            checkpoints.remove()
+        remove_empty(results / CHECKPOINTS)
+
+
 def evaluate_members(
     advance: Advance, *, runs: list[Run], device: str, reward: str | None, targets: list[LogTarget | None], results: Path,
     checkpoint_every: float, fresh: bool, overwrite: bool, policies: bool,
@@ -241,8 +256,7 @@ def evaluate_members(
     facts = check_domain(runs[0].manifest.domain)
     with ExitStack() as stack:
         for run in runs:
-            place = results / CHECKPOINTS / run.path.relative_to(results).with_suffix(".lock")
-            stack.enter_context(locked(place, f"'{run.path}'"))
+            stack.enter_context(locked(_lock(run, results), f"'{run.path}'"))
         if not overwrite and all(map(_done, runs)):
             return  # by another process, while this one was starting
         checkpoints = _checkpoints(runs, results, device, checkpoint_every)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cudc_bench import interrupts, plugins
 from cudc_bench.data.reader import read_episodes
-from cudc_bench.data.staging import checkpoints_path, publish, staging
+from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
 from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
@@ -88,6 +88,7 @@ def relabel(
 
     for task, one in ids.items():
         if task not in left:
+            tidy(one)
             say(f"{one} was made from this very base: kept")
     if not left:
         return [str(one) for one in ids.values()]

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cudc_bench.errors import BrokenDownError
+from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.files import sync, sync_tree, unwritable, write_atomically
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root
 from cudc_bench.locks import locked
@@ -35,7 +35,7 @@ def staging(dataset_id: DatasetId, root: Path | None = None, resume: bool = Fals
     final = dataset_path(dataset_id, root)
     folder = building_path(dataset_id, root)
     try:
-        with locked(final.with_name(f".{final.name}.lock"), f"'{dataset_id}'"):
+        with locked(_lock(final), f"'{dataset_id}'"):
             if not resume:
                 shutil.rmtree(folder, ignore_errors=True)
             replaced = _replaced(final)
@@ -72,6 +72,7 @@ def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Pa
     """
     final = dataset_path(dataset_id, root)
     sync_tree(folder)
+    _declare_namespaces(final.parent, root or datasets_root())
     replaced = _replaced(final)
     shutil.rmtree(replaced, ignore_errors=True)
     if final.exists():
@@ -79,8 +80,19 @@ def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Pa
     folder.rename(final)
     sync(final.parent)
     shutil.rmtree(replaced, ignore_errors=True)
-    _declare_namespaces(final.parent, root or datasets_root())
     return final
+
+
+def tidy(dataset_id: DatasetId, root: Path | None = None) -> None:
+    """Remove what a process left that was killed just after it had published a dataset; nothing if somebody is writing it again."""
+    final = dataset_path(dataset_id, root)
+    if any(path.exists() for path in (building_path(dataset_id, root), _replaced(final), _lock(final))):
+        with suppress(RunError), staging(dataset_id, root):
+            shutil.rmtree(_replaced(final), ignore_errors=True)
+
+
+def _lock(final: Path) -> Path:
+    return final.with_name(f".{final.name}.lock")
 
 
 def _replaced(final: Path) -> Path:

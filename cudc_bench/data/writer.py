@@ -11,6 +11,7 @@ import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -193,11 +194,19 @@ def write_contiguous(group: h5py.Group, name: str, array: Array) -> None:
     array = np.ascontiguousarray(array)
     kind = h5py.h5t.py_create(array.dtype, logical=True)
     space = h5py.h5s.create_simple(array.shape)
-    dataset = h5py.h5d.create(group.id, name.encode(), kind, space)
+    dataset = h5py.h5d.create(group.id, name.encode(), kind, space, _untimed())
     if array.dtype == np.bool_:
         dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, array, mtype=h5py.h5t.py_create(array.dtype))
     else:
         dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, array)
+
+
+@cache
+def _untimed() -> h5py.h5p.PropDCID:
+    """HDF5 notes when an array was made unless told otherwise; the same data would then not be the same bytes."""
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    return properties
 
 
 def write_episode_attributes(group: h5py.Group, index: int, seed: int | None, rewards: Array) -> None:

@@ -159,4 +159,4 @@ def test_nothing_is_left_when_they_are_removed(tmp_path):
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match=r"cannot write a checkpoint into .*: Not a directory"):
-        Checkpoints(tmp_path / "file", {}).save(1, STATE)
+        Checkpoints(tmp_path / "file" / "run", {}).save(1, STATE)

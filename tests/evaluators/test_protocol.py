@@ -152,7 +152,7 @@ def test_a_killed_run_goes_on_and_ends_the_same(smoke, tmp_path, environment):
     command = [sys.executable, "-m", "cudc_bench.cli", *options]
 
     def checkpoints(folder: Path) -> list[Path]:
-        return sorted((folder / "results" / ".checkpoints").glob("*/*.pt"))
+        return sorted((folder / "results" / ".checkpoints").rglob("*.pt"))
 
     folders = [tmp_path / name for name in ("whole", "killed")]
     for folder in folders:
@@ -179,8 +179,7 @@ def test_a_killed_run_goes_on_and_ends_the_same(smoke, tmp_path, environment):
     assert not (folders[1] / "results" / ".checkpoints").exists()
 
 
-def test_other_data_are_never_continued(smoke, tmp_path, monkeypatch):
-    """A checkpoint of a run on one dataset is none of a run on another, nor of one with other settings."""
+def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatch):
     from cudc_bench.evaluators import api
 
     def interrupted(*arguments):
@@ -189,12 +188,19 @@ def test_other_data_are_never_continued(smoke, tmp_path, monkeypatch):
     monkeypatch.setattr(api, "write_record", interrupted)
     with pytest.raises(KeyboardInterrupt):
         evaluated(tmp_path, checkpoint_every=0.0)
-    (folder,) = (results(tmp_path) / ".checkpoints").iterdir()
+    folder = results(tmp_path) / ".checkpoints" / "smoke" / WALK / "td3-seed1"
+    assert len(list(folder.glob("*.pt"))) == 2
     monkeypatch.undo()
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(smoke))
-    evaluated(tmp_path, settings={"learning_rate": "0.002"})
+    line = r"td3-seed1.json' had other settings: hyperparameters.learning_rate 0.001, not 0.002\. Use those to continue"
+    with pytest.raises(UsageError, match=line):
+        evaluated(tmp_path, settings={"learning_rate": "0.002"})
+    # Other records are none of its business.
     evaluated(tmp_path, dataset_id="walker/run/cudc-v0")
     assert folder.exists()
+    ((_, record),) = evaluated(tmp_path, settings={"learning_rate": "0.002"}, fresh=True)
+    assert record.hyperparameters["learning_rate"] == 0.002
+    assert not folder.parents[4].exists()
 
 
 # Policies

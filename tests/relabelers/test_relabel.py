@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -265,8 +266,17 @@ def test_existing_sets_are_refused_before_any_is_written(smoke: Path) -> None:
     gone = smoke / relabeled("stand")
     gone.rename(smoke / "elsewhere")
     with pytest.raises(UsageError, match=f"'{relabeled('walk')}' exists"):
-        cudc_bench.relabel(BASE, ["stand", "walk"])
+        cudc_bench.relabel(BASE, ["stand", "walk"], standalone=True)
     assert not gone.exists()
+
+
+def test_what_exists_already_is_kept(smoke: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(smoke / relabeled("stand"))
+    made = read_manifest(relabeled("walk")).created, (smoke / relabeled("walk") / "data").stat().st_mtime_ns
+    assert cudc_bench.relabel(BASE, ["stand", "walk"]) == [relabeled("stand"), relabeled("walk")]
+    assert (read_manifest(relabeled("walk")).created, (smoke / relabeled("walk") / "data").stat().st_mtime_ns) == made
+    assert "walker/walk/cudc-v0 was made from this very base: kept\n" in capsys.readouterr().err
+    assert (smoke / relabeled("stand") / "data").is_dir()
 
 
 def test_tasks_come_in_the_domains_order_whatever_was_asked(smoke: Path) -> None:

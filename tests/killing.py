@@ -1,0 +1,239 @@
+"""Kills real runs with SIGKILL at random moments, resumes them, and compares what comes out with an uninterrupted run, byte by byte.
+
+``python -m tests.killing collect 200`` does so 200 times; the test suite a few times. A moment is a point in time, or just before or after
+a call by which a run changes what is on the disk: each such call of an uninterrupted run is as likely as any other of its function.
+Processes are forked from one that has imported everything, which saves seconds for each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import minari
+import torch
+
+import cudc_bench
+import cudc_bench.data.writer
+from cudc_bench import cli
+from cudc_bench.data.reader import verify_fingerprint
+
+COLLECT = ["collect", "--set", "steps=3300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
+COMMANDS = {
+    "collect": [*COLLECT, "--method", "cudc"],
+    "collect with skills": [*COLLECT, "--method", "smm"],
+    "pilot": [
+        "pilot", "--method", "cudc-vary-icm", "--set", "steps=5500", "--set", "seed_steps=900", "--set", "update_every=30",
+        "--checkpoint-every", "0",
+    ],
+    "relabel": ["relabel", "walker/cudc-v0"],
+    "evaluate": [
+        "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=400", "--set", "evaluate_every=200",
+        "--set", "milestones=[200,400]", "--checkpoint-every", "0.05",
+    ],
+}  # fmt: skip
+# The calls by which a run changes what is on the disk, by what they belong to.
+CALLS = {
+    "mkdir": (os, "mkdir"),
+    "fsync": (os, "fsync"),
+    "replace": (os, "replace"),
+    "rename": (os, "rename"),
+    "unlink": (os, "unlink"),
+    "rmdir": (os, "rmdir"),
+    "consolidation": (cudc_bench.data.writer, "write_contiguous"),
+}
+TIMED = {"seconds", "created"}  # all that may differ between two runs
+
+
+class Killer:
+    """Runs one command in folders of its own.
+
+    Args:
+        what: a key of COMMANDS.
+        folder: an empty one to work in.
+        needed: datasets that the command starts from.
+        seed: of the moments.
+    """
+
+    def __init__(self, what: str, folder: Path, needed: Path, seed: int) -> None:
+        self.command, self.folder, self.needed = [*COMMANDS[what], "--workers", "1", "--profile", "smoke"], folder, needed
+        self.random = random.Random(seed)
+        self.killed: Counter[str] = Counter()
+        self.finished = self.resumed = 0
+        self._start_over()
+        started = time.monotonic()
+        self.calls = self._count()
+        self.seconds = time.monotonic() - started
+        self.expected = self._outcome()
+        self._start_over()
+
+    def kill(self, moment: str) -> None:
+        """Start or resume the run, and kill it at a moment: ``"time"``, or a key of CALLS."""
+        if moment == "time":
+            child = self._fork(lambda: None)
+            time.sleep(self.random.uniform(0, self.seconds))
+            os.kill(child, signal.SIGKILL)
+        else:
+            owner, name = CALLS[moment]
+            number, before = self.random.randint(1, max(1, self.calls[moment])), self.random.random() < 0.5
+            child = self._fork(lambda: _die_at(owner, name, number, before))
+        _, status = os.waitpid(child, 0)
+        # Whatever happened, nothing half-written can be seen.
+        for one in minari.list_local_datasets():
+            verify_fingerprint(one)
+        if os.WIFSIGNALED(status):
+            self.killed[moment] += 1
+            self.resumed += any(self.folder.rglob("*.pt"))
+        else:  # it was faster
+            assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()
+            self.check()
+
+    def check(self) -> None:
+        """Let the run end, compare it with the uninterrupted one, and start a new one."""
+        self._run()
+        found = self._outcome()
+        different = [name for name in {*found, *self.expected} if found.get(name) != self.expected.get(name)]
+        assert not different, different
+        self.finished += 1
+        self._start_over()
+
+    def _start_over(self) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+        shutil.copytree(self.needed, self.folder)
+        (self.folder / "datasets").mkdir(exist_ok=True)
+        os.environ["MINARI_DATASETS_PATH"] = str(self.folder / "datasets")
+        os.environ["CUDC_BENCH_THRESHOLDS"] = str(self.folder / "thresholds.json")
+
+    def _fork(self, prepare: Callable[[], None]) -> int:
+        child = os.fork()
+        if child:
+            return child
+        try:
+            os.chdir(self.folder)
+            with (self.folder / "said").open("w") as file:
+                os.dup2(file.fileno(), 1)
+                os.dup2(file.fileno(), 2)
+            prepare()
+            cli.main(self.command)
+        except SystemExit as ended:
+            os._exit(int(ended.code or 0))
+        except BaseException as error:
+            print(repr(error), file=sys.stderr, flush=True)
+        os._exit(99)
+
+    def _run(self) -> None:
+        _, status = os.waitpid(self._fork(lambda: None), 0)
+        assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()
+
+    def _count(self) -> dict[str, int]:
+        """How often an uninterrupted run makes each call; it leaves its result."""
+        reader, writer = os.pipe()
+
+        def prepare() -> None:
+            counts = Counter[str]()
+            for moment, (owner, name) in CALLS.items():
+                setattr(owner, name, _counting(getattr(owner, name), moment, counts))
+            leave = sys.exit
+
+            def tell(code: Any = 0) -> None:
+                os.write(writer, json.dumps(counts).encode())
+                leave(code)
+
+            cli.sys = type("sys", (), {"exit": staticmethod(tell), "stderr": sys.stderr})  # type: ignore[attr-defined]
+
+        _, status = os.waitpid(self._fork(prepare), 0)
+        assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()
+        os.close(writer)
+        with os.fdopen(reader, "rb") as pipe:
+            return Counter(json.loads(pipe.read()))
+
+    def _outcome(self) -> dict[str, str]:
+        """Every file below the folder, hidden ones included; of JSON and weights what does not tell the time."""
+        found = {}
+        for path in sorted(self.folder.rglob("*")):
+            if path.is_dir() or path.name == "said":
+                continue
+            if path.suffix == ".json":
+                content = json.dumps(_timeless(json.loads(path.read_text())), sort_keys=True).encode()
+            elif path.name == "README.md":
+                content = b"".join(line for line in path.read_bytes().splitlines(True) if b"seconds" not in line and b"20" not in line)
+            else:
+                content = path.read_bytes()
+            found[str(path.relative_to(self.folder))] = hashlib.sha256(content).hexdigest()
+        return found
+
+
+def _timeless(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _timeless(one) for name, one in value.items() if name not in TIMED}
+    return [_timeless(one) for one in value] if isinstance(value, list) else value
+
+
+def _counting(real: Callable[..., Any], moment: str, counts: Counter[str]) -> Callable[..., Any]:
+    def call(*arguments: Any, **options: Any) -> Any:
+        counts[moment] += 1
+        return real(*arguments, **options)
+
+    return call
+
+
+def _die_at(owner: Any, name: str, number: int, before: bool) -> None:
+    real, calls = getattr(owner, name), 0
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == number and before:
+            os.kill(os.getpid(), signal.SIGKILL)
+        result = real(*arguments, **options)
+        if calls == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return result
+
+    setattr(owner, name, call)
+
+
+def run(what: str, kills: int, seed: int = 0) -> dict[str, Any]:
+    """Kill a command so many times, and say where and how often it ended well.
+
+    Raises:
+        AssertionError: something half-written was visible, a run could not be resumed, or its outcome differs.
+    """
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as name:
+        base = Path(name)
+        needed = base / "needed"
+        # Whatever the command needs of it: what a process has imported once, those forked from it need not import again.
+        os.environ["MINARI_DATASETS_PATH"] = str(base / "first")
+        cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
+        cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
+        needed.mkdir()
+        if what in ("relabel", "evaluate"):
+            (base / "first").rename(needed / "datasets")
+        if what == "relabel":
+            shutil.rmtree(needed / "datasets" / "walker" / "walk")
+        killer = Killer(what, base / "work", needed, seed)
+        moments = [moment for moment in CALLS if killer.calls[moment]]
+        # Every kind of call once, then as it comes, half of them by time.
+        plan = [*moments, *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
+        for moment in plan[:kills]:
+            before = killer.killed.total()
+            while killer.killed.total() == before:
+                killer.kill(moment)
+        killer.check()
+        return {"killed": dict(killer.killed), "with a checkpoint to resume from": killer.resumed, "ended well": killer.finished}
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)))

@@ -1,0 +1,144 @@
+"""A run that is killed at any moment goes on with the same command, and ends with the same bytes as one that was left alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import minari
+import pytest
+
+import cudc_bench
+from cudc_bench.data.reader import verify_fingerprint
+from cudc_bench.manifest import read_manifest
+
+from .killing import CALLS
+
+ROOT = Path(__file__).resolve().parent.parent
+COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=60000", "--checkpoint-every", "0"]
+
+
+@pytest.mark.parametrize(("what", "kills"), [("collect", 20), ("evaluate", 10), ("relabel", 8), ("pilot", 8)])
+def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(what: str, kills: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.killing", what, str(kills)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert sum(found["killed"].values()) == kills
+    assert found["ended well"] >= 1
+    if what == "collect":
+        assert set(found["killed"]) == {*CALLS, "time"}
+    if what != "relabel":
+        assert found["with a checkpoint to resume from"] > 0
+
+
+def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
+    datasets: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}, dataset_id="walker/undisturbed-v0")
+    stopped = 0
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process = subprocess.Popen(COLLECT, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        wait_for(lambda before=stopped: any(int(path.stem) > before for path in datasets.rglob("*.pt")), process)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=300)
+        assert process.returncode == 128 + number
+        line = said.splitlines()[-1]
+        assert re.fullmatch(
+            r"cudc-bench: error: interrupted: random seed 1 at step [\d,]+ of 60,000; the same command continues from there\.", line
+        )
+        stopped = int(line.split("step ")[1].split(" of")[0].replace(",", ""))
+        assert max(int(path.stem) for path in datasets.rglob("*.pt")) == stopped
+        assert set(minari.list_local_datasets()) == {undisturbed}
+    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}) == ["walker/random-v0"]
+    first, second = (read_manifest(one) for one in (undisturbed, "walker/random-v0"))
+    assert verify_fingerprint("walker/random-v0") == first.fingerprint
+    assert second.final_state == first.final_state
+    assert (datasets / "walker/random-v0/diagnostics.jsonl").read_bytes() == (datasets / undisturbed / "diagnostics.jsonl").read_bytes()
+
+
+def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
+    datasets: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    process = subprocess.Popen(
+        [*COLLECT, "--seeds", "1-2", "--workers", "2"], env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    wait_for(lambda: len({path.parent for path in datasets.rglob("*.pt")}) == 2, process)
+    for child in children(process.pid):
+        os.kill(child, signal.SIGSTOP)  # they cannot finish what they are at
+    kept = {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))}
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.6)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "cudc-bench: error: interrupted."
+    assert {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))} == kept
+
+
+def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
+    command = [*COLLECT, "--seeds", "1-2", "--workers", "2"]
+    process = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: len({path.parent for path in datasets.rglob("*.pt")}) == 2, process)
+    worker = int((datasets / "walker" / ".random-v0.lock").read_text().split()[0])
+    os.kill(worker, signal.SIGKILL)
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 1
+    assert said.splitlines()[-1] == ("cudc-bench: error: a worker process died (killed, or out of memory); run the same command again.")
+    assert "Traceback" not in said
+    assert minari.list_local_datasets() == {}
+    assert list(datasets.rglob("*.pt"))
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}, dataset_id="walker/undisturbed-v0")
+    assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
+
+
+def test_another_configuration_is_refused_and_fresh_starts_over(
+    datasets: Path, environment: dict[str, str], tmp_path: Path, cli: Callable
+) -> None:
+    process = subprocess.Popen(COLLECT, env=environment, cwd=tmp_path, stderr=subprocess.DEVNULL)
+    wait_for(lambda: any(datasets.rglob("*.pt")), process)
+    process.kill()
+    process.wait()
+    before = sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*"))
+    done = cli("collect", "--method", "random", "--set", "steps=3000")
+    assert done.code == 2
+    assert done.err == (
+        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 60000, not 3000."
+        " Use those to continue it, or --fresh to start over.\n"
+    )
+    assert sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*")) == before
+    done = cli("collect", "--method", "random", "--set", "steps=3000", "--fresh")
+    assert (done.code, done.out) == (0, "walker/random-v0\n"), done.err
+    assert read_manifest("walker/random-v0").steps == 3000
+    assert sorted(path.name for path in (datasets / "walker").iterdir()) == ["namespace_metadata.json", "random-v0"]
+
+
+def wait_for(true: Callable[[], bool], process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + 120
+    while not true():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def children(process: int) -> list[int]:
+    """The worker processes of a process."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == process and b"spawn_main" in (path / "cmdline").read_bytes():
+                found.append(int(path.name))
+        except OSError:
+            continue
+    return found
