@@ -101,7 +101,7 @@ def collect(
         runs, count = [_Run(setting, [member], device) for member in left], worker_count(workers, len(members))
     if not fresh:
         for run in runs:
-            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members))
+            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members), "collect")
     if check_only:
         return [str(one) for one in ids]
 
@@ -148,7 +148,7 @@ class _Run:
 
     def is_interrupted(self) -> bool:
         try:
-            return self.checkpoints().check("")
+            return self.checkpoints().check("", "collect")
         except UsageError:
             return False
 

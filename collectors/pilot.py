@@ -89,7 +89,7 @@ def pilot(
     first, last = (round(share * found[0].loop.steps) for share in (FIRST, LAST))
     if not fresh:
         for one in found:
-            _checkpoints(folder, one, last, device).check(_what(one))
+            _checkpoints(folder, one, last, device).check(_what(one), "pilot")
     say(f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each, {device}")
     common = {"first": first, "last": last, "device": device, "folder": folder, "fresh": fresh, "every": checkpoint_every}
     jobs = [Job(one.method, last, {"setting": one, **common}) for one in found]

@@ -20,6 +20,8 @@ def list_command(
     console = Console()
     for table in (_methods(), _domains(), _algorithms(), _profiles(), _datasets()):
         console.print(table)
+    for line in _unfinished():
+        console.print(line, markup=False, highlight=False)
     folder = Path(results)
     count = sum(1 for _ in folder.rglob("*.json")) if folder.is_dir() else 0
     console.print(f"Records in {folder}: {count}", markup=False)
@@ -113,3 +115,16 @@ def _datasets() -> Table:
     for row in rows:
         table.add_row(*(escape(text) for text in row[: len(columns)]))
     return table
+
+
+def _unfinished() -> list[str]:
+    from cudc_bench.checkpoints import progress
+    from cudc_bench.data.staging import checkpoints_path, unfinished
+
+    lines = []
+    for one, holder in unfinished():
+        found = progress(checkpoints_path(one))
+        there = "no checkpoint yet" if found is None else f"its last checkpoint is at step {found[0]:,}"
+        state = "was interrupted" if holder is None else f"{holder} is making it"
+        lines.append(f"Unfinished: {one}: {state}; {there}")
+    return lines

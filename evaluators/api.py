@@ -203,7 +203,9 @@ def evaluate(
         groups, count = [[run] for run in todo], worker_count(workers, len(runs))
     if not fresh:
         for group in groups:
-            _checkpoints(group, results, device).check(f"'{group[0].path}'" if len(group) == 1 else f"{len(group)} records in {results}")
+            _checkpoints(group, results, device).check(
+                f"'{group[0].path}'" if len(group) == 1 else f"{len(group)} records in {results}", "evaluate"
+            )
     jobs = [
         Job(
             description=_describe(group),
