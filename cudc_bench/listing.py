@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,10 +16,12 @@ def list_command(
     """Show methods, domains, algorithms, profiles, datasets and records."""
     from rich.console import Console
 
+    from cudc_bench.files import check_folder
+
+    folder = check_folder(results, "the folder of the records", writable=False)
     console = Console()
     for table in (_methods(), _domains(), _algorithms(), _profiles(), _datasets()):
         console.print(table)
-    folder = Path(results)
     count = sum(1 for _ in folder.rglob("*.json")) if folder.is_dir() else 0
     console.print(f"Records in {folder}: {count}", markup=False)
 

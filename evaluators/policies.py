@@ -18,7 +18,7 @@ from cudc_bench import plugins
 from cudc_bench.config import field_names
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
-from cudc_bench.files import write_atomically
+from cudc_bench.files import check_path, write_atomically
 from cudc_bench.provenance import versions
 from cudc_bench.records import Record, read_record
 
@@ -68,6 +68,18 @@ def policy_path(record: Path) -> Path:
     return record.with_name(record.name.removesuffix(".json") + SUFFIX)
 
 
+def check_record(record: str | Path) -> Path:
+    """The path of a record that a user named.
+
+    Raises:
+        UsageError: there is no such file.
+    """
+    path = check_path(record, "the record")
+    if not path.is_file():
+        raise UsageError(f"there is no record at '{path}'; cudc-bench evaluate prints the paths of those that it writes.")
+    return path
+
+
 def save_policy(agent: Evaluator, member: int, record: Path) -> None:
     """Write one member's policy beside its record.
 
@@ -94,7 +106,7 @@ def load_policy(record: str | Path) -> Policy:
         RunError: the record or the policy is missing or damaged, or this version cannot make the policy's network from the record.
         UsageError: the record's algorithm or domain is not installed here.
     """
-    place = Path(record)
+    place = check_path(record, "the record")
     found = read_record(place)
     path = policy_path(place)
     kind = plugins.load("evaluators", found.algorithm)
