@@ -407,6 +407,6 @@ class _Verifier:
         episodes = self._manifest.episodes
         if self._sample is None or self._changed:
             return list(range(episodes))
-        count = min(episodes, math.ceil(self._sample / facts.episode_length))
+        count = min(episodes, -(-self._sample // facts.episode_length))
         generator = np.random.default_rng(int(self._manifest.fingerprint[:16], 16))
         return sorted(int(index) for index in generator.choice(episodes, count, replace=False))
