@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -146,6 +147,9 @@ def evaluate(
     logs = check_log(log, log_dir)
     device = resolve_device(device)
     worker_count(workers, 1)
+    check_domain(domain)
+    if not (math.isfinite(checkpoint_every) and checkpoint_every >= 0):
+        raise UsageError(f"--checkpoint-every takes a number of seconds, 0 or more, not {checkpoint_every:g}.")
     sizes = _check_sizes(dataset_sizes)
     named = None if dataset_id is None else list(dict.fromkeys([dataset_id] if isinstance(dataset_id, str) else dataset_id))
     if named == []:
@@ -301,6 +305,8 @@ def _plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], ste
     if steps is not None:
         if "gradient_steps" in settings:
             raise UsageError("--steps and --set gradient_steps say the same; give one of them.")
+        if not 1 <= steps <= 10**10:
+            raise UsageError(f"--steps takes 1 to {10**10:,}, not {steps:,}.")
         before = build(EvaluateConfig, profile.evaluate, settings).milestones
         settings = {"milestones": [*(one for one in before if one < steps), steps]} | settings | {"gradient_steps": steps}
     loop = build(EvaluateConfig, profile.evaluate, settings)
