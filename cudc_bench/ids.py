@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
-from cudc_bench.files import check_folder
+from cudc_bench.files import check_path
 
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
@@ -83,10 +83,10 @@ def datasets_root() -> Path:
     """Minari's dataset root: ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``, read at each call as Minari does.
 
     Raises:
-        UsageError: it cannot be a folder.
+        UsageError: it is no path.
     """
     root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
-    return check_folder(root, "the dataset root", writable=False)
+    return check_path(root, "the dataset root")
 
 
 def dataset_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:
