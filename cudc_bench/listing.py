@@ -85,6 +85,7 @@ def _datasets() -> Table:
     from cudc_bench.errors import CudcBenchError
     from cudc_bench.ids import dataset_path, datasets_root
     from cudc_bench.manifest import read_manifest, stored_ids
+    from cudc_bench.markup import plain
 
     root = datasets_root()
     rows = []
@@ -112,5 +113,5 @@ def _datasets() -> Table:
     # The widest table: without lines and padding an id is in two lines of a narrow terminal, not in four.
     table.box, table.collapse_padding = box.SIMPLE_HEAD, True
     for row in rows:
-        table.add_row(*(escape(text) for text in row[: len(columns)]))
+        table.add_row(*(escape(plain(text)) for text in row[: len(columns)]))
     return table

@@ -227,6 +227,8 @@ class _Verifier:
             check_links(file, {name.partition("/")[0] for name in own}, [index])
             for member in LINKED if linked else ():
                 self._check_link(group, member, index)
+            if infos and not isinstance(group["infos"], h5py.Group):
+                fail("its infos are no group", index)
             if infos and set(group["infos"].keys()) != infos:
                 fail(f"its infos are {', '.join(sorted(group['infos'].keys())):.99}, not {', '.join(sorted(infos))}", index)
             check_links(file, own, [index])

@@ -168,8 +168,8 @@ def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64])
 
 def _read_into(group: h5py.Group, name: str, out: Array) -> None:
     dataset = open_field(group, name)
-    if dataset.shape != out.shape:
-        raise KeyError(f"{group.name}/{name} has shape {dataset.shape}, expected {out.shape}")
+    if dataset.shape != out.shape or dataset.dtype != out.dtype:
+        raise ValueError(f"{group.name}/{name} is {dataset.dtype} {dataset.shape}, expected {out.dtype} {out.shape}")
     dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out)
 
 
