@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cudc_bench.config import as_dict, config_hash
 from cudc_bench.errors import RunError
-from cudc_bench.files import check_file, write_atomically
+from cudc_bench.files import check_file, check_regular, write_atomically
 from cudc_bench.manifest import Pilot
 
 from .loop import CollectConfig
@@ -44,6 +44,7 @@ def read_thresholds(path: Path) -> list[Pilot]:
         RunError: it cannot be read, or is not such a file.
     """
     try:
+        check_regular(path)
         return _File.model_validate_json(path.read_bytes()).thresholds
     except FileNotFoundError:
         return []

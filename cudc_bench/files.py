@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
@@ -77,6 +79,17 @@ def check_file(path: str | Path, what: str, writable: bool = True) -> Path:
         raise UsageError(f"{what} '{file}' is a folder; name a file.")
     check_folder(file.parent, f"{what}'s folder", writable)
     return file
+
+
+def check_regular(path: Path) -> None:
+    """Refuse to read a pipe or a device that somebody put in a file's place: reading it might never end.
+
+    Raises:
+        OSError: it is one, or there is nothing.
+    """
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

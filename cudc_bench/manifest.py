@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_folder
+from cudc_bench.files import check_folder, check_regular
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 
 KEY = "cudc_bench"
@@ -263,6 +263,7 @@ def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict
     """
     path = metadata_path(dataset_id, root)
     try:
+        check_regular(path)
         metadata = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None

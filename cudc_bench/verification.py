@@ -27,6 +27,7 @@ from cudc_bench.data.writer import MAIN_FILE, episode_attributes, minari_metadat
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.playback import Fault, Playback
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
+from cudc_bench.files import check_regular
 from cudc_bench.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.manifest import FieldHasher, Manifest, fingerprint, read_manifest, read_metadata
 from cudc_bench.progress import Advance, bars
@@ -118,6 +119,7 @@ class _Verifier:
             checks.append(Check("base", self._check_base()))
         with ExitStack() as stack:
             with self._reading():
+                check_regular(self._path)
                 file = stack.enter_context(h5py.File(self._path, "r"))
                 checks.append(Check("file", self._check_file(file)))
                 with bars([(f"{self._id}: reading", manifest.episodes)], "episodes") as (advance,):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
+from cudc_bench.provenance import is_own_command
 from cudc_bench.records import Evaluation, Record, read_record
 
 if TYPE_CHECKING:
@@ -113,11 +115,11 @@ def short(steps: float) -> str:
 
 
 def _files(paths: Iterable[Path]) -> list[Path]:
-    found: dict[Path, Path] = {}
+    found: dict[str, Path] = {}
     for path in paths:
         for file in sorted(path.rglob("*.json")) if path.is_dir() else [path]:
             if not file.is_dir():
-                found.setdefault(file.resolve(), file)
+                found.setdefault(os.path.realpath(file), file)
     return list(found.values())
 
 
@@ -131,9 +133,12 @@ def _check(path: Path, record: Record) -> None:
         raise RunError(f"{path} is left out: a return of {largest:g} is impossible, the limit is {limit:g}.")
     if min(steps) < 1 or max(steps) > _LARGEST:
         raise RunError(f"{path} is left out: a number of gradient steps is not between 1 and {_LARGEST:g}.")
+    if not is_own_command(record.command):
+        # Tables list it for people to run.
+        raise RunError(f"{path} is left out: its command is not one of cudc-bench: {record.command:.80}")
     try:
         _created(record)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise RunError(f"{path} is left out: its time of creation '{record.created}' is not ISO 8601.") from None
 
 

@@ -19,6 +19,7 @@ from cudc_bench.data.storage import READ_ERRORS, check_links, file_size, open_fi
 from cudc_bench.data.writer import MAIN_FILE
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
+from cudc_bench.files import check_regular
 from cudc_bench.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
 
@@ -114,6 +115,7 @@ def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Pa
     check_base(manifest, checked, root)
     path = dataset_path(checked, root) / "data" / MAIN_FILE
     try:
+        check_regular(path)
         with h5py.File(path, "r") as file:
             check_links(file, fields, range(manifest.episodes), base_file(manifest, root))
             groups = [file[f"episode_{index}"] for index in range(manifest.episodes)]
@@ -208,6 +210,7 @@ def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int, base: Pa
 
 
 def _episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | None) -> Iterator[dict[str, Array]]:
+    check_regular(path)
     with h5py.File(path, "r") as file:
         check_links(file, names, range(episodes), base)
         for index in range(episodes):

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from cudc_bench.envs.domains import Domain
+from cudc_bench.files import check_regular
 
 # Fields, and the group of the others, that a relabelled dataset takes from its base.
 LINKED = ("observations", "actions", "terminations", "truncations", "infos")
@@ -48,6 +49,7 @@ def check_links(file: h5py.File, fields: Iterable[str], episodes: Sequence[int],
                 if second:
                     _member(inner, second, f"/episode_{index}/{first}", opened=False)
     if base is not None:
+        check_regular(base)
         with h5py.File(base, "r") as target:
             check_links(target, [name for name in names if name.partition("/")[0] in LINKED], episodes)
 
