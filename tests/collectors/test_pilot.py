@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
+from hypothesis import settings as limits
 from hypothesis import strategies as st
 
 import cudc_bench
@@ -184,7 +185,7 @@ def test_a_damaged_file_is_one_line(own_file, content):
         settle("cudc-vary-icm", "walker", SMOKE)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@limits(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_file_is_read_right_or_refused_in_one_line(own_file, data):
     content = bytearray(OURS.read_bytes()[:6000])
