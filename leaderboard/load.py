@@ -18,6 +18,7 @@ from cudc_bench.records import Evaluation, Record, read_record
 if TYPE_CHECKING:
     import pandas as pd
 
+_LARGEST_STEPS = 10**12  # beyond any collection; larger numbers are no floats
 _LARGEST = 1e9  # Above any real return or number of steps; larger ones would overflow sums and axes.
 
 
@@ -133,6 +134,8 @@ def _check(path: Path, record: Record) -> None:
         raise RunError(f"{path} is left out: a return of {largest:g} is impossible, the limit is {limit:g}.")
     if min(steps) < 1 or max(steps) > _LARGEST:
         raise RunError(f"{path} is left out: a number of gradient steps is not between 1 and {_LARGEST:g}.")
+    if max(record.dataset.steps, record.dataset.used or 0) > _LARGEST_STEPS:
+        raise RunError(f"{path} is left out: no dataset has more than {_LARGEST_STEPS:,} steps.")
     if not is_own_command(record.command):
         # Tables list it for people to run.
         raise RunError(f"{path} is left out: its command is not one of cudc-bench: {record.command:.80}")

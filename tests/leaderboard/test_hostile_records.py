@@ -107,6 +107,13 @@ def test_the_command_makes_files_of_them(
     assert {path.parent.parent for path in output.rglob("*") if path.is_file()} == {output}
 
 
+@pytest.mark.parametrize("field", ["steps", "used", "seed"])
+def test_numbers_beyond_any_run_stop_nothing(field: str, make_record: Callable, save: Callable) -> None:
+    loaded = load_records([save(make_record(), make_record(seed=2, dataset_source="ExORL", **{f"dataset_{field}": 10**400}))])
+    assert len(loaded.records) == 2 - len(loaded.problems)
+    check_outputs(list(loaded.records))
+
+
 @pytest.mark.parametrize(
     "content",
     [b"[" * 100_000, b'{"dataset": ' * 50_000, b'{"seed": ' + b"9" * 10_000 + b"}", b"\xff", b"\0" * 100, b'"\\ud800"', b"\xef\xbb\xbf{}"],
