@@ -186,6 +186,9 @@ def read_field(group: h5py.Group, name: str) -> Array:
         READ_ERRORS: of ``cudc_bench.data.storage``, when the file is damaged or the field, or the base of a link, is missing.
     """
     dataset = open_field(group, name)
+    # What the file says of itself need not be what is there.
+    if math.prod(dataset.shape) * dataset.dtype.itemsize > file_size(dataset):
+        raise ValueError(f"{group.name}/{name} claims more bytes than its file has")
     out = np.empty(dataset.shape, dataset.dtype)
     dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out)
     return out
