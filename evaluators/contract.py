@@ -220,7 +220,7 @@ class EvaluatorContract:
         assert again.load(lambda step, state: None) == stop
         assert run(again, make(name, (3, 4))) == whole
 
-    @pytest.mark.parametrize("acts", [1500, 2500, 4500])
+    @pytest.mark.parametrize("acts", [1500, 2500, 3500])
     def test_an_evaluation_that_was_interrupted_is_made_again(self, name: str, acts: int, tmp_path: Path) -> None:
         """Interrupted in the second evaluation, in the one after the last update, and in the final one."""
         config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 20))

@@ -35,7 +35,7 @@ def test_the_readme_shows_the_example_package_as_it_is():
         assert code in whole if path.endswith("test_re3.py") else code == whole, path
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "benchmarks/README.md"])
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/trust.md", "benchmarks/README.md"])
 def test_links_and_paths_of_the_documents_exist(name):
     text = (ROOT / name).read_text()
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
@@ -43,3 +43,11 @@ def test_links_and_paths_of_the_documents_exist(name):
     assert links + paths
     missing = [link for link in links if not ((ROOT / name).parent / link).exists()] + [p for p in paths if not (ROOT / p).exists()]
     assert not missing
+
+
+def test_every_test_that_a_promise_names_exists():
+    named = re.findall(r"`([a-z_/]+\.py)::(test_[a-z_]+)`", (ROOT / "docs" / "trust.md").read_text())
+    rows = [line for line in (ROOT / "docs" / "trust.md").read_text().splitlines() if line.startswith("| ") and "---" not in line]
+    assert sum("::test_" in row for row in rows) == len(rows) - 4  # the heads of the tables
+    for path, test in named:
+        assert f"def {test}(" in (ROOT / path).read_text(), (path, test)

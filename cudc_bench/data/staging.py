@@ -51,6 +51,13 @@ def staging(dataset_id: DatasetId, root: Path | None = None, resume: bool = Fals
             shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
         raise unwritable(f"'{dataset_id}' below {final.parent}", error) from error
+    finally:
+        # A namespace in which nothing came to be.
+        for parent in final.parents:
+            if parent == (root or datasets_root()):
+                break
+            with suppress(OSError):
+                parent.rmdir()
 
 
 def building_path(dataset_id: DatasetId, root: Path | None = None) -> Path:

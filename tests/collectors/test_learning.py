@@ -87,7 +87,7 @@ class Places:
     def add_episode(self, seed: int, observations: np.ndarray, actions: np.ndarray, infos: dict[str, np.ndarray]) -> None:
         self.seen.append(observations[1:].copy())
 
-    def add_diagnostics(self, row: dict[str, Any]) -> None:
+    def add_diagnostics(self, row: dict[str, Any], steps_per_second: float) -> None:
         pass
 
     def cells(self) -> int:
