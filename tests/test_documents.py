@@ -35,7 +35,7 @@ def test_the_readme_shows_the_example_package_as_it_is():
         assert code in whole if path.endswith("test_re3.py") else code == whole, path
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/trust.md", "benchmarks/README.md"])
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "benchmarks/README.md"])
 def test_links_and_paths_of_the_documents_exist(name):
     text = (ROOT / name).read_text()
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
