@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
@@ -17,12 +17,10 @@ from typing import IO
 import minari
 import pytest
 
-import cudc_bench
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.errors import RunError
 from cudc_bench.ids import parse_id
-from cudc_bench.manifest import read_manifest
 
 ID = parse_id("walker/made-v0")
 LONG = {"steps": 10_000}  # about a second
@@ -160,66 +158,6 @@ def test_a_lock_file_that_its_holder_removed_is_no_lock(datasets: Path, monkeypa
         staging(ID),
     ):
         pytest.fail("two writers")
-
-
-# A process that dies at its n-th call of one function of the operating system, before or after the call itself.
-DYING = """
-import os, signal, sys
-name, number, when = sys.argv[1], int(sys.argv[2]), sys.argv[3]
-real, calls = getattr(os, name), 0
-def dying(*arguments, **keywords):
-    global calls
-    calls += 1
-    if calls == number and when == "before":
-        os.kill(os.getpid(), signal.SIGKILL)
-    result = real(*arguments, **keywords)
-    if calls == number:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return result
-setattr(os, name, dying)
-from cudc_bench.cli import main
-main(sys.argv[4:])
-"""
-
-
-@pytest.mark.parametrize(
-    ("function", "number", "when", "finished"),
-    [
-        ("fsync", 1, "before", False),  # the first shard is written, but not yet on the disk
-        ("fsync", 2, "after", False),  # the dataset is written, but not yet on the disk
-        ("rename", 1, "before", False),  # everything is on the disk, but not yet in its place
-        ("rename", 1, "after", True),
-    ],
-)
-def test_killed_at_its_worst_moments_a_run_is_either_whole_or_invisible(
-    function: str, number: int, when: str, finished: bool, datasets: Path, python: Callable
-) -> None:
-    undisturbed = cudc_bench.collect("random", profile="smoke", dataset_id="walker/undisturbed-v0")
-    killed = python(DYING, function, str(number), when, "collect", "--method", "random", "--dataset-id", str(ID))
-    assert killed.code == -signal.SIGKILL
-    assert set(minari.list_local_datasets()) == {*undisturbed, *([str(ID)] if finished else [])}
-    if not finished:
-        assert not (datasets / str(ID)).exists()
-        cudc_bench.collect("random", profile="smoke", dataset_id=str(ID))
-    assert verify_fingerprint(str(ID)) == read_manifest(*undisturbed).fingerprint
-    assert len(list(minari.load_dataset(str(ID)).iterate_episodes())) == 3
-
-
-def test_killed_while_it_collects_a_run_leaves_nothing_and_can_be_repeated(
-    datasets: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
-    undisturbed = cudc_bench.collect("random", profile="smoke", settings=LONG, dataset_id="walker/undisturbed-v0")
-    building = datasets / "walker" / ".made-v0.building"
-    with started([*COLLECT, "--dataset-id", str(ID)], env=environment, cwd=tmp_path) as process:
-        wait_for(building / "diagnostics.jsonl", process)
-        process.kill()
-        process.communicate()
-        assert process.returncode == -signal.SIGKILL
-    assert building.exists(), "it was not killed in the middle"
-    assert list(minari.list_local_datasets()) == undisturbed
-    assert cudc_bench.collect("random", profile="smoke", settings=LONG, dataset_id=str(ID)) == [str(ID)]
-    assert verify_fingerprint(str(ID)) == read_manifest(*undisturbed).fingerprint
-    assert everything(datasets / "walker") == [*files("made-v0"), "namespace_metadata.json", *files("undisturbed-v0")]
 
 
 def test_of_two_processes_on_one_id_one_runs_and_the_other_says_so(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:

@@ -2,10 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,45 +134,6 @@ def test_every_algorithm_on_every_task(datasets, tmp_path, domain):
 
 
 # Resuming
-
-
-def without_time(record: Record) -> dict:
-    return {name: value for name, value in record.model_dump().items() if name not in {"seconds", "created"}}
-
-
-def test_a_killed_run_goes_on_and_ends_the_same(smoke, tmp_path, environment):
-    options = [
-        "evaluate", "--algo", "td3", "--dataset-id", WALK, "--set", "gradient_steps=3000", "--set", "evaluate_every=1000", "--set",
-        "milestones=[1000,3000]", "--workers", "1", "--checkpoint-every", "0.05",
-    ]  # fmt: skip
-    command = [sys.executable, "-m", "cudc_bench.cli", *options]
-
-    def checkpoints(folder: Path) -> list[Path]:
-        return sorted((folder / "results" / ".checkpoints").rglob("*.pt"))
-
-    folders = [tmp_path / name for name in ("whole", "killed")]
-    for folder in folders:
-        folder.mkdir()
-    subprocess.run(command, cwd=folders[0], env=environment, check=True, capture_output=True, timeout=300)
-    process = subprocess.Popen(command, cwd=folders[1], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and process.poll() is None:
-        if any(int(path.stem) > 300 for path in checkpoints(folders[1])):
-            break
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    left = checkpoints(folders[1])
-    assert left, "the run ended before it could be killed"
-    assert not (folders[1] / "results" / "smoke").exists()
-    done = subprocess.run(command, cwd=folders[1], env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    paths = [folder / "results" / "smoke" / "walker" / "walk" / "cudc-v0" / "td3-seed1.json" for folder in folders]
-    whole, continued = (read_record(path) for path in paths)
-    assert without_time(whole) == without_time(continued)
-    weights = [torch.load(policy_path(path), weights_only=True) for path in paths]
-    assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
-    assert not (folders[1] / "results" / ".checkpoints").exists()
 
 
 def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatch):
