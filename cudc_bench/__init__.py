@@ -35,6 +35,7 @@ __all__ = [
     "load_policy",
     "load_transitions",
     "make_leaderboard",
+    "measure_quality",
     "pilot",
     "relabel",
     "render_policy",
@@ -44,7 +45,7 @@ __all__ = [
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "relabel", "evaluate", "load_policy", "render_policy", "export_policy", "make_leaderboard",
-    "draw_diagnostics",
+    "draw_diagnostics", "measure_quality",
 )  # fmt: skip
 
 

@@ -62,3 +62,31 @@ def diagnostics(
         say(f"note: {remark}")
     for file in report.files:
         typer.echo(file)
+
+
+def stats(
+    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all there are.")] = None,
+    output: Annotated[str, typer.Option("--output", help="Folder for tables and figures.")] = "report",
+    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
+    method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
+) -> None:
+    """Measure datasets without training: reward density for all tasks, coverage, entropy."""
+    from rich.console import Console
+
+    from cudc_bench.progress import say
+
+    from .quality import measure_quality
+    from .quality_files import to_rich
+
+    methods = None if method is None else parse_names(method)
+    if methods == ():
+        raise UsageError("--method is empty; leave it out for all.")
+    report = measure_quality(dataset_ids or None, output, domain, methods)
+    screen = Console(highlight=False)
+    for table in report.tables:
+        screen.print(to_rich(table))
+        screen.print()
+    for remark in report.remarks:
+        say(f"note: {remark}")
+    for file in report.files:
+        typer.echo(file)

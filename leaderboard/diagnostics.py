@@ -197,7 +197,7 @@ def compare(runs: Iterable[Run]) -> tuple[list[Comparison], list[str]]:
     """
     split: dict[tuple[str, str], dict[tuple[str, int], list[Run]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
-        split[run.manifest.domain, _group(run.manifest)][run.manifest.method, run.manifest.seed].append(run)
+        split[run.manifest.domain, group_of(run.manifest)][run.manifest.method, run.manifest.seed].append(run)
     comparisons, doubts = [], []
     for (domain, group), seeds in sorted(split.items()):
         methods = ordered({method for method, _ in seeds}, METHOD_ORDER)
@@ -263,8 +263,8 @@ def _stored() -> tuple[list[tuple[str, Manifest]], list[str]]:
     return found, remarks
 
 
-def _group(manifest: Manifest) -> str:
-    """As ``Record.group`` names what was collected so."""
+def group_of(manifest: Manifest) -> str:
+    """The profile of a collection and whatever differs from it, as ``Record.group`` names what was collected so."""
     return f"{manifest.profile} (collect: {settings_text(manifest.overrides)})" if manifest.overrides else manifest.profile
 
 
