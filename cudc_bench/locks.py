@@ -53,9 +53,13 @@ def _take(path: Path, what: str) -> IO[str]:
                 raise RunError(f"{holder} is writing {what}; wait for it to end.") from None
             if not _is_at(path, file):
                 continue  # the holder before us removed it after we had opened it; others lock a new file of that name
-            file.truncate(0)
-            file.write(f"{os.getpid()} {platform.node()}")
-            file.flush()
+            try:
+                file.truncate(0)
+                file.write(f"{os.getpid()} {platform.node()}")
+                file.flush()
+            except OSError:
+                path.unlink(missing_ok=True)  # on a full disk it could be made, but not be written
+                raise
             stack.pop_all()
             return file
 

@@ -20,6 +20,7 @@ from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import unwritable
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
 from cudc_bench.options import CHECKPOINT_EVERY, check_folder
@@ -104,7 +105,10 @@ def relabel(
         coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
         for index, (task, one) in enumerate(left.items()):
             columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
-            _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+            try:
+                _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+            except OSError as error:
+                raise unwritable(f"'{one}' below {dataset_path(one).parent}", error) from None
             mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
             say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
     return [str(one) for one in ids.values()]
