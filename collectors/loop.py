@@ -19,7 +19,7 @@ from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
-from cudc_bench.metrics import member_rows
+from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch, Episodes
 from cudc_bench.seeding import episode_seed
@@ -116,7 +116,7 @@ def run_collection(
         watcher: looks at every update.
 
     Raises:
-        RunError: the simulation diverged or a metric is not finite.
+        BrokenDownError: the simulation diverged, or an observation, an action or a metric is not finite.
         Interrupted: the process was asked to leave; the state after the last step is kept.
     """
     run = _Run(collector, config, domain, sinks, watcher)
@@ -185,6 +185,7 @@ class _Run:
         else:
             chosen = collector.act(torch.from_numpy(self._observations[:, t]).to(collector.device)).cpu()
         self._actions[:, t] = chosen.numpy()
+        check_actions(self._actions[:, t], self._observations[:, t], f"at step {step:,}")
         self._simulate(t)
         self.steps = step + 1
         done = self.steps == config.steps
@@ -223,7 +224,9 @@ class _Run:
                 simulator.quantities(self._quantities[member, t])
 
     def _hand_on(self, length: int) -> None:
-        """Give the episode that has just ended to the sinks, and, if it is whole, to the replay."""
+        """Give the episode that has just ended to the sinks, and, if it is whole, to the replay; neither ever sees a NaN."""
+        for array in (self._observations, self._physics):
+            check_simulated(array[:, : length + 1], f"in the episode before step {self.steps:,}")
         for member, sink in enumerate(self._sinks):
             observations, actions = self._observations[member, : length + 1], self._actions[member, :length]
             infos: dict[str, Float32 | Float64] = {"physics": self._physics[member, : length + 1]}
