@@ -6,9 +6,10 @@ BIN := $(VENV)/bin
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
 PYTHON ?= $(shell for p in python3 python3.12 python3.11; do $$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
 DEMO := $(CURDIR)/demo
+KILLS ?= 200
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench wheel-check clean
+.PHONY: help setup demo test lint format bench torture wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -45,6 +46,10 @@ format: setup  ## Put the code into the project's format.
 
 bench: setup  ## Measure speed as ratios and print a table; see benchmarks/README.md.
 	$(BIN)/python -m benchmarks
+
+torture: setup  ## Kill real runs 200 times and compare what comes out: about ten minutes.
+	@for what in collect "collect with skills" evaluate relabel pilot; do \
+		echo "$$what"; OMP_NUM_THREADS=1 $(BIN)/python -m tests.killing "$$what" $(KILLS) 2> /dev/null || exit 1; done
 
 wheel-check: setup  ## Build the wheel, install it into an empty environment elsewhere, run the three calls there.
 	BIN=$(CURDIR)/$(BIN) ./.ci/wheel-check

@@ -83,7 +83,7 @@ def collect(
     seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
-    ids = [parse_id(dataset_id) if dataset_id else default_id(domain, method, seed) for seed in seeds]
+    ids = [default_id(domain, method, seed) if dataset_id is None else parse_id(dataset_id) for seed in seeds]
     done = [] if overwrite else [one for seed, one in zip(seeds, ids, strict=True) if _is_made(setting, seed, one)]
     for one in ids:
         check_free(one, overwrite or one in done)
@@ -101,7 +101,7 @@ def collect(
         runs, count = [_Run(setting, [member], device) for member in left], worker_count(workers, len(members))
     if not fresh:
         for run in runs:
-            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members))
+            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members), "collect")
     if check_only:
         return [str(one) for one in ids]
 
@@ -148,7 +148,7 @@ class _Run:
 
     def is_interrupted(self) -> bool:
         try:
-            return self.checkpoints().check("")
+            return self.checkpoints().check("", "collect")
         except UsageError:
             return False
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from cudc_bench.envs import Domain
 from cudc_bench.errors import UsageError
+from cudc_bench.files import check_regular
 
 Array = NDArray[Any]
 
@@ -135,6 +136,7 @@ def read_episode(file: EpisodeFile, domain: Domain) -> RawEpisode:
     """
     try:
         # Read once, so that what is checked, hashed and kept are the same bytes.
+        check_regular(file.path)
         with file.path.open("rb") as opened:
             content = opened.read(LARGEST + 1)
     except OSError as error:

@@ -17,6 +17,7 @@ from cudc_bench.data.statistics import measure_coverage
 from cudc_bench.data.writer import MAIN_FILE, Episode, write_episodes, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import check_path
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.manifest import IMPORTED_PROFILE, Import, Manifest, Source, check_free, fingerprint
 from cudc_bench.options import check_folder, check_seeds
@@ -71,11 +72,10 @@ def import_exorl(
         check_tasks(facts, [task])
     (seed,) = check_seeds([seed])
     usual = default_id(domain, method, seed) if task is None else default_id(domain, method, seed).for_task(task)
-    one = parse_id(dataset_id) if dataset_id else usual
+    one = usual if dataset_id is None else parse_id(dataset_id)
     check_free(one, overwrite)
     check_folder(datasets_root(), "the dataset root")
-    folder = Path(directory)
-    _check("directory", str(folder), str, "a path in UTF-8, which the manifest can name")
+    folder = check_path(directory, "the directory")
     files = list_files(folder, facts)
     total = sum(file.length for file in files)
     if steps is not None and not 1 <= steps <= total:

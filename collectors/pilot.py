@@ -19,11 +19,11 @@ from cudc_bench import plugins
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import BrokenDownError, UsageError
-from cudc_bench.files import remove_empty, unwritable
+from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.ids import domain_slug
 from cudc_bench.locks import locked
 from cudc_bench.manifest import Pilot
-from cudc_bench.options import CHECKPOINT_EVERY, check_folder
+from cudc_bench.options import CHECKPOINT_EVERY
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
@@ -34,7 +34,7 @@ from cudc_bench.runlog import open_log
 from .journal import Journal
 from .loop import run_collection
 from .setting import Setting, settle
-from .thresholds import settings_key, thresholds_path, write_thresholds
+from .thresholds import read_thresholds, settings_key, thresholds_path, write_thresholds
 
 SEED = 0  # kept apart from the seeds of datasets
 FIRST, LAST = 0.05, 0.45  # of the run
@@ -82,18 +82,18 @@ def pilot(
         raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
     found = [settle(name, domain, chosen, settings, piloting=True) for name in needy if name in wanting]
     path = thresholds_path()
-    check_folder(path.parent, "the folder of the thresholds")
-    if path.is_dir():
-        raise UsageError(f"the thresholds cannot be written to '{path}', which is a folder.")
+    check_file(path, "the file of thresholds")
+    # What is damaged would be found when the results are added to it, with the work done.
+    read_thresholds(path)
+    count = worker_count(1 if device == "cuda" and workers is None else workers, len(found))
     folder = path.parent / ".pilots"
     first, last = (round(share * found[0].loop.steps) for share in (FIRST, LAST))
     if not fresh:
         for one in found:
-            _checkpoints(folder, one, last, device).check(_what(one))
+            _checkpoints(folder, one, last, device).check(_what(one), "pilot")
     say(f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each, {device}")
     common = {"first": first, "last": last, "device": device, "folder": folder, "fresh": fresh, "every": checkpoint_every}
     jobs = [Job(one.method, last, {"setting": one, **common}) for one in found]
-    count = worker_count(1 if device == "cuda" and workers is None else workers, len(jobs))
     results = run_jobs(measure, jobs, unit="steps", workers=count, threads=chosen.threads)
     write_thresholds(path, results)
     for one in found:

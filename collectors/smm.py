@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.config import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.config import Finite, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from cudc_bench.networks import MemberRandom, Trained, mlp
 from cudc_bench.replay import Batch
 
@@ -39,7 +39,7 @@ class SMMConfig(DDPGConfig):
     kl_weight: NonNegativeFloat = 0.5
     novelty_weight: NonNegativeFloat = 1.0
     latent_weight: NonNegativeFloat = 1.0
-    discriminator_weight: float = 1.0
+    discriminator_weight: Finite = 1.0
 
 
 class SMM(DDPG):

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cudc_bench.config import as_dict, config_hash
 from cudc_bench.errors import RunError
-from cudc_bench.files import unwritable, write_atomically
+from cudc_bench.files import check_file, check_regular, unwritable, write_atomically
 from cudc_bench.manifest import Pilot
 
 from .loop import CollectConfig
@@ -29,8 +29,12 @@ class _File(BaseModel):
 
 
 def thresholds_path() -> Path:
-    """The user's file: ``thresholds.json`` in the current folder, or what ``CUDC_BENCH_THRESHOLDS`` names."""
-    return Path(os.environ.get(VARIABLE) or "thresholds.json")
+    """The user's file: ``thresholds.json`` in the current folder, or what ``CUDC_BENCH_THRESHOLDS`` names.
+
+    Raises:
+        UsageError: it cannot be a file.
+    """
+    return check_file(os.environ.get(VARIABLE) or "thresholds.json", "the file of thresholds", writable=False)
 
 
 def read_thresholds(path: Path) -> list[Pilot]:
@@ -40,6 +44,7 @@ def read_thresholds(path: Path) -> list[Pilot]:
         RunError: it cannot be read, or is not such a file.
     """
     try:
+        check_regular(path)
         return _File.model_validate_json(path.read_bytes()).thresholds
     except FileNotFoundError:
         return []

@@ -26,6 +26,7 @@ from cudc_bench.progress import say
 
 KEPT = 2
 _RUN = "run.json"
+_SHARE = 0.02  # of a run's time that checkpoints may cost
 _NAMED = 4  # differences that a refusal names
 
 
@@ -35,7 +36,8 @@ class Checkpoints:
     Args:
         folder: of this run alone; made when the first is written.
         run: what determines the run's result, JSON-ready.
-        every: seconds between two checkpoints.
+        every: seconds between two checkpoints at least; more where one takes so long that it would cost more than a fiftieth of the time,
+            unless this is 0.
     """
 
     def __init__(self, folder: Path, run: Mapping[str, Any], every: float = CHECKPOINT_EVERY) -> None:
@@ -43,18 +45,19 @@ class Checkpoints:
         self._run = json.loads(json.dumps(run))
         self._every = every
         self._started = self._last = time.monotonic()
-        self._earlier = 0.0
+        self._earlier = self._cost = 0.0
 
     @property
     def seconds(self) -> float:
         """Of work so far, that of earlier processes included as far as it was kept."""
         return self._earlier + time.monotonic() - self._started
 
-    def check(self, what: str) -> bool:
+    def check(self, what: str, command: str) -> bool:
         """Whether there is something of this run to continue.
 
         Args:
             what: the run makes, for the message.
+            command: which makes it.
 
         Raises:
             UsageError: what is there is of a run with other settings; the message names the differences.
@@ -68,13 +71,13 @@ class Checkpoints:
             more = f", and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
             raise UsageError(
                 f"an interrupted run of {what} had other settings: {'; '.join(found[:_NAMED])}{more}. Use those to continue it, or"
-                " --fresh to start over."
+                f" cudc-bench {command} --fresh to start over."
             )
         return True
 
     def due(self) -> bool:
         """Whether it is time for another one."""
-        return time.monotonic() - self._last >= self._every
+        return time.monotonic() - self._last >= (max(self._every, self._cost / _SHARE) if self._every else 0.0)
 
     def save(self, step: int, state: Mapping[str, Any]) -> None:
         """Write the state after so many steps, and drop all but the last two.
@@ -82,6 +85,7 @@ class Checkpoints:
         Raises:
             RunError: it cannot be written.
         """
+        started = time.monotonic()
         content = io.BytesIO()
         torch.save({"run": self._run, "step": step, "seconds": self.seconds, "threads": torch.get_num_threads(), "state": state}, content)
         try:
@@ -93,6 +97,7 @@ class Checkpoints:
         except OSError as error:
             raise unwritable(f"a checkpoint into {self.folder}", error) from None
         self._last = time.monotonic()
+        self._cost = self._last - started
 
     def load(self, restore: Callable[[int, dict[str, Any]], None], device: torch.device | str = "cpu") -> int:
         """Restore the newest whole checkpoint of this run.
@@ -142,6 +147,13 @@ class Checkpoints:
     def _files(self) -> list[Path]:
         """Newest first."""
         return sorted(self.folder.glob("*.pt"), reverse=True) if self.folder.is_dir() else []
+
+
+def progress(folder: Path) -> tuple[int, dict[str, Any]] | None:
+    """How far the run came whose checkpoints lie in a folder, and what determines its result; None if there is nothing to continue."""
+    checkpoints = Checkpoints(folder, {})
+    there, files = checkpoints._there(), checkpoints._files()
+    return None if there is None or not files or not files[0].stem.isdecimal() else (int(files[0].stem), there)
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any], above: str = "") -> list[str]:

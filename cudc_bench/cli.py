@@ -15,6 +15,7 @@ import typer
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError
 from cudc_bench.interrupts import Interrupted
+from cudc_bench.markup import shortened, visible
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -103,7 +104,7 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _complain(message: str) -> None:
-    print(f"cudc-bench: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ PositiveInt = Annotated[int, Field(ge=1, le=10**10)]
 NonNegativeInt = Annotated[int, Field(ge=0, le=10**10)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 

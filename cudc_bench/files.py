@@ -5,10 +5,94 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import stat
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from cudc_bench.errors import RunError
+from cudc_bench.errors import RunError, UsageError
+
+# Bytes. A name leaves room for that of the temporary neighbour that a file is first written to, and a path for what goes below a folder.
+_LONGEST_NAME, _LONGEST_PATH = 200, 3000
+
+
+def check_path(path: str | Path, what: str) -> Path:
+    """Refuse a path that the system could not take, or that could not be shown, before anything looks for it.
+
+    Args:
+        path: as the user gave it.
+        what: it is, such as ``"the output"``.
+
+    Raises:
+        UsageError: it is empty, too long, not UTF-8, has control characters, or cannot be looked at.
+    """
+    text = str(path)
+    if not text:
+        raise UsageError(f"{what} cannot be empty; name a path, or '.' for this folder.")
+    try:
+        encoded = text.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{what} '{text}' is not UTF-8; give it another name.") from None
+    if any(ord(c) < 32 or 127 <= ord(c) < 160 for c in text):
+        raise UsageError(f"{what} '{text}' has control characters; give it another name.")
+    if len(encoded) > _LONGEST_PATH or any(len(part) > _LONGEST_NAME for part in encoded.split(b"/")):
+        raise UsageError(f"{what} '{text}' is too long; names may have {_LONGEST_NAME} bytes, paths {_LONGEST_PATH:,}.")
+    try:
+        Path(text).exists()
+    except OSError as error:
+        raise UsageError(f"{what} '{text}' cannot be looked at: {error.strerror}.") from None
+    return Path(text)
+
+
+def check_folder(path: str | Path, what: str, writable: bool = True) -> Path:
+    """Refuse a folder that cannot be used before any work starts; it is not made yet.
+
+    Args:
+        path: as the user gave it.
+        what: it is, such as ``"the output"``.
+        writable: whether it must be possible to write into it.
+
+    Raises:
+        UsageError: it is a file, cannot be written, or is no path at all.
+    """
+    folder = check_path(path, what)
+    nearest = folder
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        raise UsageError(f"{what} '{folder}' cannot be a folder: '{nearest}' is a file.")
+    if writable and not os.access(nearest, os.W_OK):
+        raise UsageError(f"{what} '{folder}' cannot be written.")
+    return folder
+
+
+def check_file(path: str | Path, what: str, writable: bool = True) -> Path:
+    """Refuse a file that cannot be used before any work starts; it need not exist.
+
+    Args:
+        path: as the user gave it.
+        what: it is, such as ``"the output"``.
+        writable: whether it must be possible to write it.
+
+    Raises:
+        UsageError: it is a folder, cannot be written, or is no path at all.
+    """
+    file = check_path(path, what)
+    if file.is_dir():
+        raise UsageError(f"{what} '{file}' is a folder; name a file.")
+    check_folder(file.parent, f"{what}'s folder", writable)
+    return file
+
+
+def check_regular(path: Path) -> None:
+    """Refuse to read a pipe or a device that somebody put in a file's place: reading it might never end.
+
+    Raises:
+        OSError: it is one, or there is nothing.
+    """
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
 
 
 def unwritable(what: object, error: OSError) -> RunError:
@@ -34,7 +118,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     What a process of this machine left that was killed while it did the same is removed.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    mine = f".{path.name}.{platform.node()}."
+    mine = f".{path.name}.{zlib.crc32(platform.node().encode()):08x}."
     temporary = path.with_name(f"{mine}{os.getpid()}.tmp")
     for other in os.listdir(path.parent):
         number = other.removeprefix(mine).removesuffix(".tmp")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
+from cudc_bench.files import check_path
 
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
@@ -72,12 +73,20 @@ def domain_slug(domain: str) -> str:
 def default_id(domain: str, method: str, seed: int) -> DatasetId:
     """The id under which ``collect`` stores a dataset unless told otherwise; seed 1 has the plain name."""
     suffix = "" if seed == 1 else f"-seed{seed}"
-    return parse_id(f"{domain_namespace(domain)}/{method}{suffix}-v0")
+    try:
+        return parse_id(f"{domain_namespace(domain)}/{method}{suffix}-v0")
+    except UsageError:
+        raise UsageError(f"the method '{method}' cannot name a dataset; allowed: lower-case letters, digits, '_' and '-'.") from None
 
 
 def datasets_root() -> Path:
-    """Minari's dataset root: ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``, read at each call as Minari does."""
-    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
+    """Minari's dataset root: ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``, read at each call as Minari does.
+
+    Raises:
+        UsageError: it is no path.
+    """
+    root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
+    return check_path(root, "the dataset root")
 
 
 def dataset_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,10 +16,14 @@ def list_command(
     """Show methods, domains, algorithms, profiles, datasets and records."""
     from rich.console import Console
 
+    from cudc_bench.files import check_folder
+
+    folder = check_folder(results, "the folder of the records", writable=False)
     console = Console()
     for table in (_methods(), _domains(), _algorithms(), _profiles(), _datasets()):
         console.print(table)
-    folder = Path(results)
+    for line in _unfinished():
+        console.print(line, markup=False, highlight=False)
     count = sum(1 for _ in folder.rglob("*.json")) if folder.is_dir() else 0
     console.print(f"Records in {folder}: {count}", markup=False)
 
@@ -84,6 +87,7 @@ def _datasets() -> Table:
     from cudc_bench.errors import CudcBenchError
     from cudc_bench.ids import dataset_path, datasets_root
     from cudc_bench.manifest import read_manifest, stored_ids
+    from cudc_bench.markup import plain
 
     root = datasets_root()
     rows = []
@@ -111,5 +115,18 @@ def _datasets() -> Table:
     # The widest table: without lines and padding an id is in two lines of a narrow terminal, not in four.
     table.box, table.collapse_padding = box.SIMPLE_HEAD, True
     for row in rows:
-        table.add_row(*(escape(text) for text in row[: len(columns)]))
+        table.add_row(*(escape(plain(text)) for text in row[: len(columns)]))
     return table
+
+
+def _unfinished() -> list[str]:
+    from cudc_bench.checkpoints import progress
+    from cudc_bench.data.staging import checkpoints_path, unfinished
+
+    lines = []
+    for one, holder in unfinished():
+        found = progress(checkpoints_path(one))
+        there = "no checkpoint yet" if found is None else f"its last checkpoint is at step {found[0]:,}"
+        state = "was interrupted" if holder is None else f"{holder} is making it"
+        lines.append(f"Unfinished: {one}: {state}; {there}")
+    return lines

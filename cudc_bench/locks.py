@@ -37,6 +37,19 @@ def locked(path: Path, what: str) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
+def held_by(path: Path) -> str | None:
+    """Who holds a lock, such as ``"process 123"``; None if nobody does."""
+    try:
+        with path.open("r+") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return None
+            except BlockingIOError:
+                return _holder(file)
+    except OSError:
+        return None
+
+
 def _take(path: Path, what: str) -> IO[str]:
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)

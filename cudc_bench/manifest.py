@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import check_folder, check_regular
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 
 KEY = "cudc_bench"
@@ -246,7 +247,7 @@ def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
 
 def stored_ids(root: Path | None = None) -> list[DatasetId]:
     """The ids of all complete datasets below the root in the order of their names, ours or not, whether they can be read or not."""
-    root = root or datasets_root()
+    root = check_folder(root or datasets_root(), "the dataset root", writable=False)
     found = []
     for path in sorted(root.rglob("data/metadata.json")):
         name = path.parents[1].relative_to(root).as_posix()
@@ -265,9 +266,15 @@ def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict
     """
     path = metadata_path(dataset_id, root)
     try:
+        check_regular(path)
         metadata = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
+    except NotADirectoryError:
+        check_folder(root or datasets_root(), "the dataset root", writable=False)
+        raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
+    except RecursionError:
+        raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): they are nested too deeply.") from None
     except (OSError, ValueError) as error:
         raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
     if not isinstance(metadata, dict) or KEY not in metadata:

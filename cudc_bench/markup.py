@@ -1,4 +1,4 @@
-"""Text for Markdown and templates: nothing that comes from a dataset, a record or a user is taken for markup."""
+"""Text for terminals, Markdown and templates: nothing that comes from a dataset, a record or a user is taken for markup."""
 
 from __future__ import annotations
 
@@ -11,10 +11,22 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+_HEAD, _TAIL = 1500, 500  # characters of a message that are shown, where it has more
+
 
 def plain(text: str) -> str:
     """One line without control characters, which could drive a terminal or break a file's syntax."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def visible(text: str) -> str:
+    """One line for a terminal, in which a character that could drive it or turn text around is shown by its number: ``\\x1b``."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+
+
+def shortened(text: str) -> str:
+    """A text without its middle, where that is so long that it would bury the rest; a value that was given can have megabytes."""
+    return text if len(text) <= _HEAD + _TAIL else f"{text[:_HEAD]} … {text[-_TAIL:]}"
 
 
 def escape_markdown(text: str) -> str:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cudc_bench.errors import UsageError
+from cudc_bench.files import check_folder as check_folder  # stages find it beside the checks of other options
 
 DomainOption = Annotated[str, typer.Option("--domain", help="What is explored.")]
 MethodOption = Annotated[str, typer.Option("--method", help="Collector, or several separated by commas.")]
@@ -91,26 +90,9 @@ def parse_sizes(text: str) -> tuple[int, ...]:
         UsageError: it is not a list of positive whole numbers.
     """
     parts = parse_names(text)
-    if not parts or not all(re.fullmatch(r"[1-9][0-9_]{0,14}", part) for part in parts):
+    if not parts or not all(len(part) < 16 and re.fullmatch(r"[1-9][0-9]*(_[0-9]+)*", part) for part in parts):
         raise UsageError(f"--dataset-size cannot be '{text}'; give numbers of transitions, such as 100000,200000.")
     return tuple(int(part.replace("_", "")) for part in parts)
-
-
-def check_folder(path: str | Path, what: str) -> Path:
-    """Refuse a folder that cannot be written before any work starts; it is not made yet.
-
-    Raises:
-        UsageError: it is a file, or cannot be written.
-    """
-    folder = Path(path)
-    nearest = folder
-    while not nearest.exists() and nearest != nearest.parent:
-        nearest = nearest.parent
-    if not nearest.is_dir():
-        raise UsageError(f"{what} '{folder}' cannot be a folder: '{nearest}' is a file.")
-    if not os.access(nearest, os.W_OK):
-        raise UsageError(f"{what} '{folder}' cannot be written.")
-    return folder
 
 
 def format_seeds(seeds: Sequence[int]) -> str:

@@ -9,6 +9,8 @@ from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
 
+from cudc_bench.markup import visible
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
@@ -26,8 +28,8 @@ def console() -> Console:
 
 
 def say(message: str) -> None:
-    """Print one line for people; text in it is never taken for markup."""
-    console().print(message, markup=False, soft_wrap=True)
+    """Print one line for people; text in it is never taken for markup, nor for what drives a terminal."""
+    console().print(visible(message), markup=False, soft_wrap=True)
 
 
 @contextmanager

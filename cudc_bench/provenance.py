@@ -74,6 +74,15 @@ def command_line(command: str, options: Mapping[str, str], overrides: Mapping[st
     return shlex.join([*words, *flags])
 
 
+def is_own_command(text: str) -> bool:
+    """Whether a command line, which people may copy from somebody else's record, is one of ours and nothing else to any shell."""
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        return False
+    return words[:1] == ["cudc-bench"] and shlex.join(words) == text and text.isprintable()
+
+
 def stamp(seconds: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
     """The fields of a manifest that say what it was made with, on what and when, apart from the command.
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cudc_bench.errors import RunError
-from cudc_bench.files import unwritable, write_atomically
+from cudc_bench.files import check_regular, unwritable, write_atomically
 from cudc_bench.manifest import RewardFunction, Source
 
 SCHEMA_VERSION = 1
@@ -191,6 +191,7 @@ def read_record(path: Path) -> Record:
         RunError: the file is missing, is not JSON, or does not fit the schema.
     """
     try:
+        check_regular(path)
         return Record.model_validate_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RunError(f"cannot read the record {path}: {error.strerror}.") from None

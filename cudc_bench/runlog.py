@@ -16,7 +16,7 @@ from typing import Any
 
 from cudc_bench.errors import RunError, UsageError, unknown
 from cudc_bench.ids import domain_slug
-from cudc_bench.options import check_folder
+from cudc_bench.options import LOG_DIR, check_folder
 
 LOGS = ("tensorboard", "wandb")  # each is the name of its package and of the extra that installs it
 
@@ -99,7 +99,8 @@ def check_log(log: str | None, folder: str | Path) -> Path:
         UsageError: there is no such log, its package is not installed, or the folder cannot be written.
     """
     if log is None:
-        return Path(folder)
+        # Nothing will be written; but a folder that somebody named should be one.
+        return Path(folder) if str(folder) == LOG_DIR else check_folder(folder, "the log folder", writable=False)
     if log not in LOGS:
         raise unknown("log", log, LOGS)
     if find_spec(log) is None:

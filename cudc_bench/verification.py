@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from cudc_bench import plugins
 from cudc_bench.config import config_hash
 from cudc_bench.data.reader import check_base, has_reset_row, read_field
+from cudc_bench.data.storage import LINKED, READ_ERRORS, check_links, open_field, row_kinds
 from cudc_bench.data.writer import MAIN_FILE, episode_attributes, minari_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.playback import Fault, Playback
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
+from cudc_bench.files import check_regular
 from cudc_bench.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.manifest import FieldHasher, Manifest, fingerprint, read_manifest, read_metadata
 from cudc_bench.progress import Advance, bars
@@ -35,7 +37,6 @@ from cudc_bench.seeding import episode_seed
 Array = NDArray[Any]
 SAMPLE = 20_000
 
-_LINKS = ("observations", "actions", "terminations", "truncations", "infos")
 _METADATA = (
     "dataset_id", "data_format", "total_episodes", "total_steps", "dataset_size", "observation_space", "action_space", "algorithm_name",
     "combined_datasets", "env_spec",
@@ -118,6 +119,7 @@ class _Verifier:
             checks.append(Check("base", self._check_base()))
         with ExitStack() as stack:
             with self._reading():
+                check_regular(self._path)
                 file = stack.enter_context(h5py.File(self._path, "r"))
                 checks.append(Check("file", self._check_file(file)))
                 with bars([(f"{self._id}: reading", manifest.episodes)], "episodes") as (advance,):
@@ -146,8 +148,7 @@ class _Verifier:
             yield
         except CudcBenchError:
             raise
-        except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
-            # All that h5py raises on bytes that make no sense to it.
+        except READ_ERRORS as error:
             words = (str(error).splitlines() or [type(error).__name__])[0]
             self._fail("file", f"{self._path} cannot be read, it is truncated or damaged ({words})")
 
@@ -215,14 +216,24 @@ class _Verifier:
         infos = {name.removeprefix("infos/") for name in fields if name.startswith("infos/")}
         linked = manifest.base is not None and manifest.base.linked
         facts, steps = check_domain(manifest.domain), 0
+        # Nothing is followed before it is known where it leads.
+        check_links(file, (), range(manifest.episodes))
+        own = [name for name in fields if not (linked and name.partition("/")[0] in LINKED)]
+        if manifest.base is not None and linked:
+            with h5py.File(dataset_path(manifest.base.id, self._root) / "data" / MAIN_FILE, "r") as base:
+                check_links(base, set(fields) - set(own), range(manifest.episodes))
         for index, name in enumerate(names):
             group = file[name]
             if set(group.keys()) != members:
                 fail(f"it holds {', '.join(sorted(group.keys())):.99}, not {', '.join(sorted(members))}", index)
-            for member in _LINKS if linked else ():
+            check_links(file, {name.partition("/")[0] for name in own}, [index])
+            for member in LINKED if linked else ():
                 self._check_link(group, member, index)
+            if infos and not isinstance(group["infos"], h5py.Group):
+                fail("its infos are no group", index)
             if infos and set(group["infos"].keys()) != infos:
                 fail(f"its infos are {', '.join(sorted(group['infos'].keys())):.99}, not {', '.join(sorted(infos))}", index)
+            check_links(file, own, [index])
             length = int(group.attrs["total_steps"])
             last = index == manifest.episodes - 1
             # Files of other origin hold episodes of any length up to the limit.
@@ -256,17 +267,9 @@ class _Verifier:
             self._fail("base", f"{member} links to {link.filename!r:.99}, which is not '{base.id}'", index)
 
     def _check_shape(self, group: h5py.Group, field: str, length: int, facts: Domain, index: int) -> None:
-        dataset = h5py.h5d.open(group.id, field.encode())
-        kinds: Mapping[str, tuple[Any, tuple[int, ...]]] = {
-            "observations": (np.float32, (facts.observation_size,)),
-            "actions": (np.float32, (facts.action_size,)),
-            "rewards": (np.float32, ()),
-            "terminations": (np.bool_, ()),
-            "truncations": (np.bool_, ()),
-            "infos/physics": (np.float64, (facts.physics_size,)),
-        }
+        dataset = open_field(group, field)
         rows = length + 1 if has_reset_row(field) else length
-        dtype, shape = kinds.get(field, (dataset.dtype, dataset.shape[1:]))
+        dtype, shape = row_kinds(facts).get(field, (dataset.dtype, dataset.shape[1:]))
         if dataset.dtype != np.dtype(dtype) or dataset.shape != (rows, *shape):
             self._fail("file", f"{field} is {dataset.dtype} {dataset.shape}, not {np.dtype(dtype)} {(rows, *shape)}", index)
 
@@ -407,6 +410,6 @@ class _Verifier:
         episodes = self._manifest.episodes
         if self._sample is None or self._changed:
             return list(range(episodes))
-        count = min(episodes, math.ceil(self._sample / facts.episode_length))
+        count = min(episodes, -(-self._sample // facts.episode_length))
         generator = np.random.default_rng(int(self._manifest.fingerprint[:16], 16))
         return sorted(int(index) for index in generator.choice(episodes, count, replace=False))

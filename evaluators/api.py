@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -150,6 +151,9 @@ def evaluate(
     logs = check_log(log, log_dir)
     device = resolve_device(device)
     worker_count(workers, 1)
+    check_domain(domain)
+    if not (math.isfinite(checkpoint_every) and checkpoint_every >= 0):
+        raise UsageError(f"--checkpoint-every takes a number of seconds, 0 or more, not {checkpoint_every:g}.")
     sizes = _check_sizes(dataset_sizes)
     named = None if dataset_id is None else list(dict.fromkeys([dataset_id] if isinstance(dataset_id, str) else dataset_id))
     if named == []:
@@ -203,7 +207,9 @@ def evaluate(
         groups, count = [[run] for run in todo], worker_count(workers, len(runs))
     if not fresh:
         for group in groups:
-            _checkpoints(group, results, device).check(f"'{group[0].path}'" if len(group) == 1 else f"{len(group)} records in {results}")
+            _checkpoints(group, results, device).check(
+                f"'{group[0].path}'" if len(group) == 1 else f"{len(group)} records in {results}", "evaluate"
+            )
     jobs = [
         Job(
             description=_describe(group),

@@ -39,7 +39,7 @@ def evaluate(
     seeds: SeedsOption = "1",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
-    steps: Annotated[int | None, typer.Option("--steps", help="Gradient steps, instead of the profile's.")] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, max=10**10, help="Gradient steps, instead of the profile's.")] = None,
     dataset_id: Annotated[str | None, typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.")] = None,
     dataset_size: Annotated[
         str | None, typer.Option("--dataset-size", help="Only the first so many transitions; several by commas.")

@@ -14,11 +14,10 @@ from torch.export import Dim
 from cudc_bench.envs import check_domain, domain_title, env_id, make_simulators
 from cudc_bench.envs.layouts import action_names, observation_layout
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import unwritable, write_atomically
-from cudc_bench.options import check_folder
+from cudc_bench.files import check_file, check_path, unwritable, write_atomically
 from cudc_bench.provenance import versions
 
-from .policies import Policy, load_policy
+from .policies import Policy, check_record, load_policy
 
 SUFFIX = ".pt2"
 SPEC = "spec.json"  # inside the file
@@ -39,16 +38,14 @@ def export_policy(record: str | Path, output: str | Path | None = None) -> Path:
         The path of the file.
 
     Raises:
-        UsageError: the output has another suffix or cannot be written.
+        UsageError: there is no such record; the output has another suffix or cannot be written.
         RunError: the record or its policy cannot be used, or writing failed.
     """
-    place = Path(record)
-    path = place.with_suffix(SUFFIX) if output is None else Path(output)
+    place = check_record(record)
+    path = place.with_suffix(SUFFIX) if output is None else check_path(output, "the output")
     if path.suffix.lower() != SUFFIX:
         raise UsageError(f"an exported policy cannot be '{path.name}'; it must end in {SUFFIX}.")
-    if path.is_dir():
-        raise UsageError(f"the output '{path}' is a folder; name a file.")
-    check_folder(path.parent, "the output's folder")
+    check_file(path, "the output")
     policy = load_policy(place)
     content = to_bytes(policy, describe(policy, place, path.name))
     try:

@@ -13,12 +13,12 @@ from cudc_bench.envs import check_domain, make_simulators
 from cudc_bench.envs.drawing import Drawer, check_camera
 from cudc_bench.envs.rewards import CustomReward, load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.options import check_folder
+from cudc_bench.files import check_file, check_path
 from cudc_bench.parallel import Job, cores, run_jobs
 from cudc_bench.progress import Advance, bars, say
 from cudc_bench.records import Record
 
-from .policies import load_policy
+from .policies import check_record, load_policy
 from .rollout import Played, play, recorded_seeds
 from .video import Frame, check_length, check_video, find_ffmpeg, write_video
 
@@ -76,21 +76,21 @@ def render_policy(
         UsageError: wrong input; nothing has been done.
         RunError: the record or its policy cannot be used, nothing here can draw, or the video cannot be written.
     """
-    place = Path(record)
+    place = check_record(record)
     if not 1 <= episodes <= _MOST_EPISODES:
         raise UsageError(f"--episodes takes 1 to {_MOST_EPISODES}, not {episodes}.")
     if seed is not None and seed < 0:
         raise UsageError(f"a seed cannot be {seed}; it must be 0 or more.")
     if not (np.isfinite(fps) and 1 <= fps <= 1000):
         raise UsageError(f"--fps takes 1 to 1000, not {fps:g}.")
-    path = place.with_suffix(".mp4" if find_ffmpeg() else ".gif") if output is None else Path(output)
+    path = place.with_suffix(".mp4" if find_ffmpeg() else ".gif") if output is None else check_path(output, "the output")
     usual = _SIZES.get(path.suffix.lower(), _SIZES[".mp4"])
     size = (usual[0] if width is None else width, usual[1] if height is None else height)
     for option, value in zip(("--width", "--height"), size, strict=True):
         if not _SMALLEST <= value <= _LARGEST:
             raise UsageError(f"{option} takes {_SMALLEST} to {_LARGEST}, not {value}.")
     check_video(path, *size, fps)
-    check_output(path)
+    check_file(path, "the output")
 
     policy = load_policy(place)
     found = policy.record
@@ -129,17 +129,6 @@ def frame_times(steps: int, timestep: float, fps: float) -> np.ndarray:
     # A whole number of frames may come out a rounding short.
     count = int(steps * timestep * fps + 1e-6) + 1
     return np.minimum(np.round(np.arange(count) / fps / timestep).astype(int), steps)
-
-
-def check_output(path: Path) -> None:
-    """Refuse a file that cannot be written, before any work.
-
-    Raises:
-        UsageError: it is a folder, or its folder cannot be written.
-    """
-    if path.is_dir():
-        raise UsageError(f"the output '{path}' is a folder; name a file.")
-    check_folder(path.parent, "the output's folder")
 
 
 def _play(description: str, steps: int, threads: int, **arguments: object) -> list[Played]:

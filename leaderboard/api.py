@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
-from cudc_bench.options import check_folder
+from cudc_bench.files import check_folder, check_path
 
 from .figures import curve_files
 from .files import only, write_files
@@ -52,7 +52,7 @@ def make_leaderboard(
         UsageError: there is no such path, no record, or no record of that profile, domain or algorithm; the output cannot be a folder.
         RunError: a file could not be written.
     """
-    paths = [Path(path) for path in ([results] if isinstance(results, str | Path) else results)]
+    paths = [check_path(path, "the results") for path in ([results] if isinstance(results, str | Path) else results)]
     folder = None if output is None else check_folder(output, "output")
     loaded = _load(paths)
     records = loaded.records

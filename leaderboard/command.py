@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,8 +11,8 @@ from cudc_bench.options import parse_names
 
 
 def leaderboard(
-    results: Annotated[list[Path] | None, typer.Argument(help="Records, or folders of them.", show_default="results")] = None,
-    output: Annotated[Path, typer.Option("--output", help="Folder for tables and figures.")] = Path("report"),
+    results: Annotated[list[str] | None, typer.Argument(help="Records, or folders of them.", show_default="results")] = None,
+    output: Annotated[str, typer.Option("--output", help="Folder for tables and figures.")] = "report",
     profile: Annotated[str | None, typer.Option("--profile", help="Only this profile.")] = None,
     domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
     algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.")] = None,
@@ -39,7 +38,7 @@ def leaderboard(
 
 def diagnostics(
     dataset_ids: Annotated[list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all that were collected.")] = None,
-    output: Annotated[Path, typer.Option("--output", help="Folder for figures.")] = Path("report"),
+    output: Annotated[str, typer.Option("--output", help="Folder for figures.")] = "report",
     domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:

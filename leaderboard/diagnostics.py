@@ -15,6 +15,7 @@ from statistics import fmean, stdev
 from typing import Any
 
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import check_regular
 from cudc_bench.ids import dataset_path, datasets_root, parse_id
 from cudc_bench.manifest import Manifest, read_manifest, stored_ids
 from cudc_bench.markup import plain
@@ -158,6 +159,7 @@ def read_diagnostics(dataset_id: str) -> tuple[dict[str, dict[int, float]], int]
     values: dict[str, dict[int, float]] = defaultdict(dict)
     last, number = 0, 0
     try:
+        check_regular(path)
         with path.open("rb") as file:
             for line in file:
                 number += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
+from cudc_bench.provenance import is_own_command
 from cudc_bench.records import Evaluation, Record, read_record
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_LARGEST_STEPS = 10**12  # beyond any collection; larger numbers are no floats
 _LARGEST = 1e9  # Above any real return or number of steps; larger ones would overflow sums and axes.
 
 
@@ -113,11 +116,11 @@ def short(steps: float) -> str:
 
 
 def _files(paths: Iterable[Path]) -> list[Path]:
-    found: dict[Path, Path] = {}
+    found: dict[str, Path] = {}
     for path in paths:
         for file in sorted(path.rglob("*.json")) if path.is_dir() else [path]:
             if not file.is_dir():
-                found.setdefault(file.resolve(), file)
+                found.setdefault(os.path.realpath(file), file)
     return list(found.values())
 
 
@@ -131,9 +134,14 @@ def _check(path: Path, record: Record) -> None:
         raise RunError(f"{path} is left out: a return of {largest:g} is impossible, the limit is {limit:g}.")
     if min(steps) < 1 or max(steps) > _LARGEST:
         raise RunError(f"{path} is left out: a number of gradient steps is not between 1 and {_LARGEST:g}.")
+    if max(record.dataset.steps, record.dataset.used or 0) > _LARGEST_STEPS:
+        raise RunError(f"{path} is left out: no dataset has more than {_LARGEST_STEPS:,} steps.")
+    if not is_own_command(record.command):
+        # Tables list it for people to run.
+        raise RunError(f"{path} is left out: its command is not one of cudc-bench: {record.command:.80}")
     try:
         _created(record)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise RunError(f"{path} is left out: its time of creation '{record.created}' is not ISO 8601.") from None
 
 

@@ -41,14 +41,20 @@ def relabel(
     from cudc_bench.envs.rewards import load_reward
     from cudc_bench.ids import default_id
     from cudc_bench.manifest import check_free, exists
+    from cudc_bench.parallel import worker_count
+    from cudc_bench.profiles import resolve_profile
     from cudc_bench.progress import say
     from cudc_bench.stages import check_collected, ensure_collected
 
     from .api import relabel as run
 
     chosen, wanted = parse_tasks(tasks), list(dataset_ids or [])
+    methods, numbers = parse_names(method), parse_seeds(seeds)
+    # Also what is of no use beside ids of datasets: whoever gives it wrongly expects something of it.
+    check_domain(domain)
+    resolve_profile(profile)
+    worker_count(workers, 1)
     if not wanted:
-        methods, numbers = parse_names(method), parse_seeds(seeds)
         for name in methods:
             check_collected(name, domain, numbers, profile=profile)
             for seed in numbers:

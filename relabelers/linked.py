@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.data.storage import LINKED, READ_ERRORS, check_copy
 from cudc_bench.data.writer import MAIN_FILE, new_file, write_contiguous, write_episode_attributes
-
-_LINKED = ("observations", "actions", "terminations", "truncations", "infos")
+from cudc_bench.errors import RunError
 
 
 def write_linked(base: Path, data: Path, final: Path, rewards: list[NDArray[np.float32]], standalone: bool) -> None:
@@ -30,11 +30,19 @@ def write_linked(base: Path, data: Path, final: Path, rewards: list[NDArray[np.f
         for index, values in enumerate(rewards):
             name = f"episode_{index}"
             original, group = source[name], file.create_group(name)
-            for field in _LINKED:
+            for field in LINKED:
                 if standalone:
+                    _check(original, field)
                     source.copy(original[field], group, field)
                 else:
                     group[field] = h5py.ExternalLink(target, f"/{name}/{field}")
             write_contiguous(group, "rewards", values)
             seed = original.attrs.get("seed")
             write_episode_attributes(group, index, None if seed is None else int(seed), values)
+
+
+def _check(episode: h5py.Group, field: str) -> None:
+    try:
+        check_copy(episode, field)
+    except READ_ERRORS as error:
+        raise RunError(f"the base cannot be copied ({episode.file.filename}): {error}.") from None

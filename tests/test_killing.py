@@ -109,12 +109,15 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     wait_for(lambda: any(datasets.rglob("*.pt")), process)
     process.kill()
     process.wait()
+    (at,) = {max(int(path.stem) for path in datasets.rglob("*.pt"))}
+    line = f"Unfinished: walker/random-v0: was interrupted; its last checkpoint is at step {at:,}"
+    assert line in cli("list").out.splitlines()
     before = sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*"))
     done = cli("collect", "--method", "random", "--set", "steps=3000")
     assert done.code == 2
     assert done.err == (
         "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 60000, not 3000."
-        " Use those to continue it, or --fresh to start over.\n"
+        " Use those to continue it, or cudc-bench collect --fresh to start over.\n"
     )
     assert sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*")) == before
     done = cli("collect", "--method", "random", "--set", "steps=3000", "--fresh")

@@ -5,6 +5,7 @@ Minari decodes every episode into objects and cannot sample transitions; trainin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.data.storage import READ_ERRORS, check_links, file_size, open_field, row_kinds
 from cudc_bench.data.writer import MAIN_FILE
+from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
+from cudc_bench.files import check_regular
 from cudc_bench.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
 
@@ -111,23 +115,51 @@ def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Pa
     check_base(manifest, checked, root)
     path = dataset_path(checked, root) / "data" / MAIN_FILE
     try:
+        check_regular(path)
         with h5py.File(path, "r") as file:
+            check_links(file, fields, range(manifest.episodes), base_file(manifest, root))
             groups = [file[f"episode_{index}"] for index in range(manifest.episodes)]
             lengths = np.array([group.attrs["total_steps"] for group in groups], np.int64)
+            if not len(lengths) or lengths.min() < 1 or lengths.sum() != manifest.steps:
+                raise ValueError(f"its episodes do not have the {manifest.steps:,} steps of the manifest")
             arrays = {name: _read_field(groups, name, lengths) for name in fields}
-    except (OSError, KeyError) as error:
+            _check_rows(arrays, manifest)
+    except READ_ERRORS as error:
         raise _unreadable(checked, path, error) from None
     return FlatEpisodes(arrays, lengths, manifest)
 
 
 def _unreadable(dataset_id: DatasetId, path: Path, error: Exception) -> RunError:
-    return RunError(f"the data of '{dataset_id}' cannot be read ({path}): {str(error).splitlines()[0]}.")
+    return RunError(f"the data of '{dataset_id}' cannot be read ({path}): {_words(error)}.")
+
+
+def _words(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def base_file(manifest: Manifest, root: Path | None = None) -> Path | None:
+    """The file that a dataset may link to: its base's, if it is relabelled and has no copy."""
+    base = manifest.base
+    return dataset_path(base.id, root) / "data" / MAIN_FILE if base is not None and base.linked else None
+
+
+def _check_rows(arrays: dict[str, Array], manifest: Manifest) -> None:
+    """Compare with what the domain has; dm_control's other domains would have to be loaded for that."""
+    domain = DOMAINS.get(manifest.domain)
+    for name, (dtype, shape) in ({} if domain is None else row_kinds(domain)).items():
+        if name in arrays and (arrays[name].dtype != dtype or arrays[name].shape[1:] != shape):
+            found = arrays[name]
+            raise ValueError(f"{name} has rows of {found.dtype} {found.shape[1:]}, not of {np.dtype(dtype)} {shape}")
 
 
 def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64]) -> Array:
     extra = 1 if has_reset_row(name) else 0
-    first = groups[0][name]
-    out = np.empty((int((lengths + extra).sum()), *first.shape[1:]), first.dtype)
+    first = open_field(groups[0], name)
+    shape = (int((lengths + extra).sum()), *first.shape[1:])
+    # Many names can stand for one array, and make much of little.
+    if math.prod(shape) * first.dtype.itemsize > file_size(first):
+        raise ValueError(f"{name} claims more bytes than its file has")
+    out = np.empty(shape, first.dtype)
     start = 0
     for group, length in zip(groups, lengths, strict=True):
         end = start + int(length) + extra
@@ -137,10 +169,9 @@ def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64])
 
 
 def _read_into(group: h5py.Group, name: str, out: Array) -> None:
-    # Low-level: opening each dataset through h5py's objects would take three times as long as reading it.
-    dataset = h5py.h5d.open(group.id, name.encode())
-    if dataset.shape != out.shape:
-        raise KeyError(f"{group.name}/{name} has shape {dataset.shape}, expected {out.shape}")
+    dataset = open_field(group, name)
+    if dataset.shape != out.shape or dataset.dtype != out.dtype:
+        raise ValueError(f"{group.name}/{name} is {dataset.dtype} {dataset.shape}, expected {out.dtype} {out.shape}")
     dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out)
 
 
@@ -152,26 +183,39 @@ def read_field(group: h5py.Group, name: str) -> Array:
         name: such as ``"infos/physics"``.
 
     Raises:
-        OSError, KeyError: as h5py does, when the file is damaged or the field, or the base of a link, is missing.
+        READ_ERRORS: of ``cudc_bench.data.storage``, when the file is damaged or the field, or the base of a link, is missing.
     """
-    dataset = h5py.h5d.open(group.id, name.encode())
+    dataset = open_field(group, name)
+    # What the file says of itself need not be what is there.
+    if math.prod(dataset.shape) * dataset.dtype.itemsize > file_size(dataset):
+        raise ValueError(f"{group.name}/{name} claims more bytes than its file has")
     out = np.empty(dataset.shape, dataset.dtype)
-    _read_into(group, name, out)
+    dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, out)
     return out
 
 
-def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int) -> Iterator[dict[str, Array]]:
+def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | None = None) -> Iterator[dict[str, Array]]:
     """Some fields of one episode after the other, with memory for one.
 
     Args:
         path: the HDF5 file; also one that is still in its staging folder, from where the links of a linked dataset resolve, too.
         names: of the fields.
         episodes: how many.
+        base: the file that it may link to (see :func:`base_file`).
 
     Raises:
-        OSError, KeyError: as for :func:`read_field`.
+        RunError: it is damaged.
     """
+    try:
+        yield from _episodes(path, names, episodes, base)
+    except READ_ERRORS as error:
+        raise RunError(f"{path} cannot be read: {_words(error)}.") from None
+
+
+def _episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | None) -> Iterator[dict[str, Array]]:
+    check_regular(path)
     with h5py.File(path, "r") as file:
+        check_links(file, names, range(episodes), base)
         for index in range(episodes):
             group = file[f"episode_{index}"]
             yield {name: read_field(group, name) for name in names}
@@ -194,12 +238,13 @@ def read_episodes(dataset_id: DatasetId | str, names: tuple[str, ...], root: Pat
     check_base(manifest, checked, root)
     path = dataset_path(checked, root) / "data" / MAIN_FILE
     try:
-        for index, episode in enumerate(iterate_episodes(path, names, manifest.episodes)):
+        for index, episode in enumerate(_episodes(path, names, manifest.episodes, base_file(manifest, root))):
             steps = {len(array) - has_reset_row(name) for name, array in episode.items()}
             if len(steps) != 1:
-                raise KeyError(f"episode_{index} has fields of different lengths")
+                raise ValueError(f"episode_{index} has fields of different lengths")
+            _check_rows(episode, manifest)
             yield episode
-    except (OSError, KeyError) as error:
+    except READ_ERRORS as error:
         raise _unreadable(checked, path, error) from None
 
 
@@ -214,7 +259,10 @@ def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = No
         return
     if not exists(base.id, root):
         raise RunError(f"'{dataset_id}' links to '{base.id}', which is missing; collect it again or relabel with --standalone.")
-    if read_manifest(base.id, root).fingerprint != base.fingerprint:
+    there = read_manifest(base.id, root)
+    if there.base is not None and there.base.linked:
+        raise RunError(f"'{dataset_id}' links to '{base.id}', which holds no data of its own; relabel again with --overwrite.")
+    if there.fingerprint != base.fingerprint:
         raise RunError(f"'{dataset_id}' was made from another '{base.id}'; relabel again with --overwrite.")
 
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cudc_bench.errors import BrokenDownError, RunError
+from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.files import sync, sync_tree, unwritable, write_atomically
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root
-from cudc_bench.locks import locked
+from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
+from cudc_bench.locks import held_by, locked
 
 
 @contextmanager
@@ -81,6 +81,17 @@ def publish(folder: Path, dataset_id: DatasetId, root: Path | None = None) -> Pa
     sync(final.parent)
     shutil.rmtree(replaced, ignore_errors=True)
     return final
+
+
+def unfinished(root: Path | None = None) -> list[tuple[DatasetId, str | None]]:
+    """The datasets that are being built, or were when a process ended, each with the process that builds it now, if one does."""
+    root = root or datasets_root()
+    found = []
+    for path in sorted(root.rglob(".*.building")):
+        with suppress(UsageError):
+            one = parse_id((path.parent / path.name[1:].removesuffix(".building")).relative_to(root).as_posix())
+            found.append((one, held_by(_lock(dataset_path(one, root)))))
+    return found
 
 
 def tidy(dataset_id: DatasetId, root: Path | None = None) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench.data.reader import iterate_episodes
+from cudc_bench.data.reader import base_file, iterate_episodes
 from cudc_bench.manifest import Manifest
 from cudc_bench.progress import Advance
 
@@ -134,7 +134,7 @@ def measure_coverage(file: Path, manifest: Manifest, advance: Advance | None = N
     moments: _Moments | None = None
     points: list[Float64] = []
     actions, size, saturated = 0, 0.0, 0
-    for episode in iterate_episodes(file, ("observations", "actions"), manifest.episodes):
+    for episode in iterate_episodes(file, ("observations", "actions"), manifest.episodes, base_file(manifest)):
         observations = episode["observations"].astype(np.float64)
         moments = moments or _Moments(observations.shape[1])
         # A view would keep the whole episode.

@@ -165,12 +165,14 @@ def check_tasks(domain: Domain, tasks: Sequence[str] | None) -> tuple[str, ...]:
     """Return the tasks in the domain's order without repeats; all of them for ``None``.
 
     Raises:
-        UsageError: one does not belong to the domain, or cannot be relabelled, or none can; the message says why.
+        UsageError: one does not belong to the domain, or cannot be relabelled, or none can, or none is named; the message says why.
     """
     if not domain.tasks:
         raise UsageError(
             f"'{domain.name}' has no task that can be relabelled ({excluded_tasks(domain)}); give a reward of your own (--reward)."
         )
+    if tasks is not None and not tasks:
+        raise UsageError(f"no task was given; allowed: {', '.join(domain.tasks)}.")
     for task in tasks or ():
         if task in domain.excluded:
             allowed = ", ".join(domain.tasks)

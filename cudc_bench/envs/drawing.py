@@ -82,7 +82,7 @@ def check_camera(simulator: Simulator, domain: str, camera: str | None) -> str:
     if camera is None:
         return _CAMERAS.get(domain, "0" if names else OVERVIEW)
     own = [OVERVIEW] if _CAMERAS.get(domain) == OVERVIEW or not names else []
-    if camera in names or camera in own or (camera.isdecimal() and int(camera) < len(names)):
+    if camera in names or camera in own or camera in map(str, range(len(names))):
         return camera
     allowed = [*own, *filter(None, names)]
     numbers = [f"0 to {len(names) - 1}"] if len(names) > 1 else ["0"][: len(names)]

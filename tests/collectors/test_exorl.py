@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import os
 import pickle
 import shutil
 import signal
@@ -21,7 +22,7 @@ from typing import Any
 import minari
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.lib import format as npy
 
@@ -494,6 +495,39 @@ def test_any_bytes_are_read_right_or_refused(content: bytes, tmp_path_factory: p
         assert np.isfinite(array).all()
     assert shapes.keys() - found.arrays.keys() <= {"physics"}
     assert np.abs(found.arrays["action"]).max() <= 1
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(content=damaged() | st.binary(max_size=200), first=st.booleans())
+def test_the_command_imports_a_damaged_file_whole_or_not_at_all(
+    content: bytes, first: bool, datasets: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = write(tmp_path / "files", [random_arrays(5)] * 2)
+    (folder / f"episode_00000{0 if first else 1}_5.npz").write_bytes(content)
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(["import-exorl", str(folder), "--method", "proto"])
+    out, err = capfd.readouterr()
+    if ended.value.code == 0:  # what was hit means nothing, or is a number like any other
+        assert list(minari.list_local_datasets()) == ["walker/proto-v0"]
+        shutil.rmtree(datasets)
+        return
+    assert (ended.value.code, out) == (2 if first else 1, "")
+    assert err.splitlines()[-1].startswith("cudc-bench: error: '")
+    assert len([line for line in err.splitlines() if "error" in line]) == 1
+    assert "Traceback" not in err
+    assert minari.list_local_datasets() == {}
+    assert [path for path in datasets.rglob("*") if path.is_file()] == []
+
+
+def test_reading_episodes_always_ends(datasets: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "episode_0_5.npz")
+    with pytest.raises(UsageError, match=r"episode_0_5\.npz' cannot be read: it is a pipe or a device, not a file\."):
+        cudc_bench.import_exorl(tmp_path, "proto")
+    (tmp_path / "episode_0_5.npz").unlink()
+    (tmp_path / "episode_0_5.npz").symlink_to("/dev/zero")
+    with pytest.raises(UsageError, match="cannot be read: it is a pipe or a device"):
+        cudc_bench.import_exorl(tmp_path, "proto")
 
 
 @pytest.mark.parametrize(

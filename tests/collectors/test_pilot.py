@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import HealthCheck, given
+from hypothesis import settings as limits
+from hypothesis import strategies as st
 
 import cudc_bench
 from cudc_bench import plugins
@@ -180,6 +183,31 @@ def test_a_damaged_file_is_one_line(own_file, content):
     own_file.write_bytes(content.encode("latin-1"))
     with pytest.raises(RunError, match=r"the thresholds in .* are damaged: .*; mend or remove it\."):
         settle("cudc-vary-icm", "walker", SMOKE)
+
+
+@limits(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_file_is_read_right_or_refused_in_one_line(own_file, data):
+    content = bytearray(OURS.read_bytes()[:6000])
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(content)))
+        content[place : place + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+    whole = data.draw(st.sampled_from([bytes(content), b"[" * 10_000, b'{"thresholds": ' * 5_000, b"\xff", b"9" * 9_000]))
+    own_file.write_bytes(whole)
+    with pytest.raises(RunError, match=r"the thresholds in .* are damaged: .*; mend or remove it\.") as caught:
+        read_thresholds(own_file)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_damaged_file_is_found_before_the_pilot_runs(own_file, monkeypatch):
+    monkeypatch.setattr("cudc_bench.collectors.pilot.run_jobs", lambda *_, **__: pytest.fail("it ran"))
+    own_file.write_text("{")
+    with pytest.raises(RunError, match="are damaged"):
+        cudc_bench.pilot(["cudc-vary-icm"], profile="smoke")
+    own_file.unlink()
+    os.mkfifo(own_file)
+    with pytest.raises(RunError, match="cannot be read: it is a pipe or a device"):
+        cudc_bench.pilot(["cudc-vary-icm"], profile="smoke")
 
 
 def test_the_command(cli, tmp_path, datasets):

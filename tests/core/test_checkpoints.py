@@ -26,11 +26,11 @@ STATE = {"weights": torch.arange(5.0), "outcomes": [(1, [0.5, -2.0]), (2, {"q": 
 def test_what_was_saved_last_comes_back(tmp_path):
     ours = Checkpoints(tmp_path, {"seed": 1})
     assert loaded(ours) is None
-    assert not ours.check("it")
+    assert not ours.check("it", "collect")
     for step in (10, 20, 30):
         ours.save(step, STATE | {"steps": step})
     again = Checkpoints(tmp_path, {"seed": 1})
-    assert again.check("it")
+    assert again.check("it", "collect")
     step, state = loaded(again)
     assert step == state["steps"] == 30
     assert torch.equal(state.pop("weights"), STATE["weights"])
@@ -44,13 +44,15 @@ def test_another_run_is_refused_with_what_differs(tmp_path):
     other = Checkpoints(tmp_path, {"seeds": [1, 2], "hyperparameters": {"width": 256, "gamma": 0.9}})
     line = r"^an interrupted run of 'it' had other settings: hyperparameters.width 128, not 256; seeds \[1\], not \[1, 2\]\. Use those"
     with pytest.raises(UsageError, match=line):
-        other.check("'it'")
+        other.check("'it'", "collect")
     # Not even by changing what is written beside it.
     (tmp_path / "run.json").write_text(json.dumps({"seeds": [1, 2], "hyperparameters": {"width": 256, "gamma": 0.9}}))
     assert loaded(other) is None
     many = Checkpoints(tmp_path, {str(name): 0 for name in range(9)})
-    with pytest.raises(UsageError, match=r'"?0"? null, not 0; .*, and 7 more\. Use those to continue it, or --fresh to start over\.$'):
-        many.check("'it'")
+    with pytest.raises(
+        UsageError, match=r'"?0"? null, not 0; .*, and 7 more\. Use those to continue it, or cudc-bench collect --fresh to start over\.$'
+    ):
+        many.check("'it'", "collect")
 
 
 def test_the_one_before_serves_where_the_newest_refers_to_what_is_gone(tmp_path, capsys):

