@@ -306,9 +306,9 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
         key = (fields["observations"], fields["actions"])
         if key not in sources:
             sources[key] = len(flats)
-            flats.append(load_episodes(one, ("observations", "actions")))
+            flats.append(load_episodes(one, ("observations", "actions"), verify=True))
         source_of_member.append(sources[key])
-        rewards.append(torch.from_numpy(load_episodes(one, ("rewards",)).arrays["rewards"]))
+        rewards.append(torch.from_numpy(load_episodes(one, ("rewards",), verify=True).arrays["rewards"]))
     steps = used or max(int(flat.lengths.sum()) for flat in flats)
     first = flats[0].arrays
     episodes = Episodes(
