@@ -120,8 +120,14 @@ def run_collection(
         Interrupted: the process was asked to leave; the state after the last step is kept.
     """
     run = _Run(collector, config, domain, sinks, watcher)
-    if checkpoints is not None:
-        checkpoints.load(run.load_state, collector.device)
+    kept = None if checkpoints is None else checkpoints.load(run.load_state, collector.device)
+
+    def keep() -> None:
+        nonlocal kept
+        if checkpoints is not None and kept != run.steps:
+            checkpoints.save(run.steps, run.state())
+            kept = run.steps
+
     told = 0
     while True:
         done = run.steps == config.steps
@@ -129,16 +135,14 @@ def run_collection(
             advance(run.steps - told)
             told = run.steps
         if interrupts.requested():
-            if checkpoints is not None:
-                checkpoints.save(run.steps, run.state())
+            keep()
             raise interrupts.interrupted(f"at step {run.steps:,} of {config.steps:,}")
         if done:
             break
         run.step()
         if checkpoints is not None and run.steps % domain.episode_length == 0 and checkpoints.due():
-            checkpoints.save(run.steps, run.state())
-    if checkpoints is not None:
-        checkpoints.save(run.steps, run.state())
+            keep()
+    keep()
 
 
 class _Run:
