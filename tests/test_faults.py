@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +25,7 @@ from cudc_bench.envs.walker import Walker
 from cudc_bench.errors import RunError
 from cudc_bench.manifest import metadata_path, read_manifest
 
-from .smalldisk import Ended, SmallDisk
+from .smalldisk import ROOT, Ended, SmallDisk
 
 COLLECT = ("collect", "--method", "random", "--workers", "1", "--set", "steps=1000")
 SHORT = ("--set", "gradient_steps=4", "--set", "evaluate_every=2", "--set", "milestones=[4]", "--set", "evaluation_episodes=1")
@@ -667,3 +670,78 @@ def test_a_reward_function_that_fails_is_one_line_and_once_mended_the_same_comma
         refused(main(*evaluate), 1, f"the reward function own_{wrong}:hop", line)
     assert not [path for path in (tmp_path / "results").rglob("*") if path.is_file()]
     assert main(*evaluate).code == 0
+
+
+# ----------------------------------------------------------------------------------------------------------------------------------- rivals
+
+
+@pytest.mark.parametrize(("what", "times"), [("collect", 50), ("relabel", 10), ("evaluate", 5)])
+def test_of_two_that_start_at_the_same_moment_one_works_and_the_other_names_it(what: str, times: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.racing", what, str(times)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert sum(found.values()) == times
+    # Where one came when the other was done already, they did not meet.
+    assert found["refused"] >= times * 0.8
+
+
+def a_dead_process() -> int:
+    child = os.fork()
+    if not child:
+        os._exit(0)
+    os.waitpid(child, 0)
+    return child
+
+
+@pytest.fixture
+def three(smoke: Path) -> list[tuple[tuple[str, ...], Path, Path]]:
+    """Commands, the lock of each, and the file by which what it makes is known."""
+    shutil.rmtree(smoke / "walker/run")
+    record = "smoke/walker/walk/cudc-v0/td3-seed1"
+    return [
+        (COLLECT, smoke / "walker/.random-v0.lock", smoke / "walker/random-v0" / HDF5),
+        (("relabel", "walker/cudc-v0", "--task", "run"), smoke / "walker/run/.cudc-v0.lock", smoke / "walker/run/cudc-v0" / HDF5),
+        (
+            (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results"),
+            Path(f"results/.checkpoints/{record}.lock"),
+            Path(f"results/{record}.json"),
+        ),
+    ]  # fmt: skip
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(main: Callable, three: list) -> None:
+    for command, lock, made in three:
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        lock.write_text(f"{a_dead_process()} {platform.node()}")
+        assert main(*command).code == 0
+        assert made.exists()
+        assert not lock.exists()
+
+
+def test_who_comes_when_another_is_done_keeps_what_is_there(main: Callable, three: list, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also who looked when it was not there yet."""
+    from cudc_bench.collectors import api as collecting
+    from cudc_bench.evaluators import api as evaluating
+    from cudc_bench.relabelers import api as relabelling
+
+    doors = [(collecting, "run_jobs"), (relabelling, "say"), (evaluating, "run_jobs")]  # behind the first look
+    for (command, lock, made), (module, door) in zip(three, doors, strict=True):
+        real, before = getattr(module, door), []
+
+        def first(
+            *arguments: Any, real: Any = real, before: list = before, here: Any = (module, door, command, made), **options: Any
+        ) -> Any:
+            module, door, command, made = here
+            monkeypatch.setattr(module, door, real)
+            with pytest.raises(SystemExit) as ended:
+                command_line.main(list(command))
+            assert not ended.value.code
+            before.append((made.stat().st_ino, made.stat().st_mtime_ns))
+            return real(*arguments, **options)
+
+        monkeypatch.setattr(module, door, first)
+        for _ in range(2):  # while the other works, and after
+            assert main(*command).code == 0
+            assert before == [(made.stat().st_ino, made.stat().st_mtime_ns)]
+        assert not lock.exists()
