@@ -641,8 +641,13 @@ REWARD = """
 import os
 import numpy as np
 
+calls = 0
+
 def hop(measured):
-    wrong = os.environ.get("WRONG")
+    global calls
+    calls += 1
+    # In an evaluation only after a while, when there is a checkpoint.
+    wrong = os.environ.get("WRONG") if len(measured["action"]) > 1 or calls > 1500 else None
     if wrong == "raises":
         raise ZeroDivisionError("division by zero")
     rewards = measured["torso_height"] * 1.0
