@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -54,7 +55,7 @@ class Journal:
         file = self._diagnostics()
         file.flush()
         sync(self._path)
-        return {"shards": shards, "bytes": file.tell()}
+        return {"shards": shards, "bytes": file.tell(), "sum": zlib.crc32(self._path.read_bytes())}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go back to what there was when ``state_dict`` was called.
@@ -64,17 +65,17 @@ class Journal:
         """
         try:
             lines = self._path.read_bytes()[: state["bytes"]]
-            rows = [json.loads(line) for line in lines.splitlines()]
-        except (OSError, ValueError):
+        except OSError:
             raise UnusableError from None
-        if len(lines) < state["bytes"]:
+        if (len(lines), zlib.crc32(lines)) != (state["bytes"], state["sum"]):
             raise UnusableError
         self._shards.load_state_dict(state["shards"])
         self.close()
         self._file = self._path.open("r+b")
         self._file.truncate(state["bytes"])
         self._file.seek(state["bytes"])
-        for self.last in rows:
+        for line in lines.splitlines():
+            self.last = json.loads(line)
             self._tell(self.last)
 
     def close(self) -> None:

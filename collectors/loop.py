@@ -19,7 +19,7 @@ from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
-from cudc_bench.metrics import member_rows
+from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch, Episodes
 from cudc_bench.seeding import episode_seed
@@ -116,12 +116,18 @@ def run_collection(
         watcher: looks at every update.
 
     Raises:
-        RunError: the simulation diverged or a metric is not finite.
+        BrokenDownError: the simulation diverged, or an observation, an action or a metric is not finite.
         Interrupted: the process was asked to leave; the state after the last step is kept.
     """
     run = _Run(collector, config, domain, sinks, watcher)
-    if checkpoints is not None:
-        checkpoints.load(run.load_state, collector.device)
+    kept = None if checkpoints is None else checkpoints.load(run.load_state, collector.device)
+
+    def keep() -> None:
+        nonlocal kept
+        if checkpoints is not None and kept != run.steps:
+            checkpoints.save(run.steps, run.state())
+            kept = run.steps
+
     told = 0
     while True:
         done = run.steps == config.steps
@@ -129,16 +135,14 @@ def run_collection(
             advance(run.steps - told)
             told = run.steps
         if interrupts.requested():
-            if checkpoints is not None:
-                checkpoints.save(run.steps, run.state())
+            keep()
             raise interrupts.interrupted(f"at step {run.steps:,} of {config.steps:,}")
         if done:
             break
         run.step()
         if checkpoints is not None and run.steps % domain.episode_length == 0 and checkpoints.due():
-            checkpoints.save(run.steps, run.state())
-    if checkpoints is not None:
-        checkpoints.save(run.steps, run.state())
+            keep()
+    keep()
 
 
 class _Run:
@@ -185,6 +189,7 @@ class _Run:
         else:
             chosen = collector.act(torch.from_numpy(self._observations[:, t]).to(collector.device)).cpu()
         self._actions[:, t] = chosen.numpy()
+        check_actions(self._actions[:, t], self._observations[:, t], f"at step {step:,}")
         self._simulate(t)
         self.steps = step + 1
         done = self.steps == config.steps
@@ -223,7 +228,9 @@ class _Run:
                 simulator.quantities(self._quantities[member, t])
 
     def _hand_on(self, length: int) -> None:
-        """Give the episode that has just ended to the sinks, and, if it is whole, to the replay."""
+        """Give the episode that has just ended to the sinks, and, if it is whole, to the replay; neither ever sees a NaN."""
+        for array in (self._observations, self._physics):
+            check_simulated(array[:, : length + 1], f"in the episode before step {self.steps:,}")
         for member, sink in enumerate(self._sinks):
             observations, actions = self._observations[member, : length + 1], self._actions[member, :length]
             infos: dict[str, Float32 | Float64] = {"physics": self._physics[member, : length + 1]}

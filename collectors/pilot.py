@@ -18,8 +18,8 @@ import torch
 from cudc_bench import plugins
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import check_domain
-from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_file, remove_empty
+from cudc_bench.errors import BrokenDownError, UsageError
+from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.ids import domain_slug
 from cudc_bench.locks import locked
 from cudc_bench.manifest import Pilot
@@ -120,13 +120,18 @@ def measure(advance: Advance, *, setting: Setting, first: int, last: int, device
         place.mkdir(parents=True, exist_ok=True)
         collector = kind(setting.space, setting.config, [SEED], device)
         medians, journal = _Medians(), Journal(place, nowhere)
-        run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
-        journal.close()
-    # The last update was in the last of the ``update_every`` steps before the end.
-    skipped = len(medians.values) - (last - first) // loop.update_every
-    values = torch.stack(medians.values[max(skipped, 0) :]) if medians.values else torch.empty(0)
-    if not len(values) or int(collector.horizon.max()) != setting.config.horizon:
-        raise RunError(f"the pilot of {setting.method} learnt nothing within {last:,} steps; take a longer run or fewer seed_steps.")
+        try:
+            run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
+            journal.close()
+            # The last update was in the last of the ``update_every`` steps before the end.
+            skipped = len(medians.values) - (last - first) // loop.update_every
+            values = torch.stack(medians.values[max(skipped, 0) :]) if medians.values else torch.empty(0)
+            _check(values, setting, last, int(collector.horizon.max()))
+        except BrokenDownError:
+            checkpoints.remove()
+            raise
+        except OSError as error:
+            raise unwritable(f"{_what(setting)} into {place}", error) from None
     return Pilot(
         name=name,
         value=float(values.double().quantile(QUANTILE)),
@@ -145,6 +150,18 @@ def measure(advance: Advance, *, setting: Setting, first: int, last: int, device
         ),
         **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
     )
+
+
+def _check(values: torch.Tensor, setting: Setting, last: int, horizon: int) -> None:
+    """Refuse a pilot that says nothing.
+
+    Raises:
+        BrokenDownError: it was too short, or broke down.
+    """
+    if not len(values) or horizon != setting.config.horizon:
+        raise BrokenDownError(f"the pilot of {setting.method} learnt nothing within {last:,} steps; take a longer run or fewer seed_steps.")
+    if not values.isfinite().all():
+        raise BrokenDownError(f"the pilot of {setting.method} broke down: not finite is what it measures; try a smaller learning_rate.")
 
 
 def _what(setting: Setting) -> str:

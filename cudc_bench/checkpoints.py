@@ -12,6 +12,8 @@ import json
 import pickle
 import shutil
 import time
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -92,7 +94,9 @@ class Checkpoints:
             if self._there() != self._run:
                 write_atomically(self.folder / _RUN, json.dumps(self._run, indent=1))
             write_atomically(self.folder / f"{step:012d}.pt", content.getvalue())
-            for old in self._files()[KEPT:]:
+            # Those of later steps are none of this run's, or damaged: it would have continued from there.
+            written = [path for path in self._files() if path.stem <= f"{step:012d}"]
+            for old in set(self._files()) - set(written[:KEPT]):
                 old.unlink(missing_ok=True)
         except OSError as error:
             raise unwritable(f"a checkpoint into {self.folder}", error) from None
@@ -126,10 +130,23 @@ class Checkpoints:
     def _whole(self, device: torch.device | str) -> Iterator[dict[str, Any]]:
         for path in self._files():
             try:
+                with zipfile.ZipFile(path) as archive:
+                    if archive.testzip() is not None:  # PyTorch itself does not look at the checksums
+                        continue
                 found = torch.load(path, map_location=device, weights_only=True)
                 if found["run"] == self._run and {"step", "seconds", "threads", "state"} <= set(found):
                     yield found
-            except (OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, pickle.UnpicklingError):
+            except (
+                OSError,
+                EOFError,
+                KeyError,
+                TypeError,
+                ValueError,
+                RuntimeError,
+                zlib.error,
+                zipfile.BadZipFile,
+                pickle.UnpicklingError,
+            ):
                 continue  # cut short or overwritten: the one before it is whole
 
     def remove(self) -> None:

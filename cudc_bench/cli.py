@@ -87,6 +87,10 @@ def main(arguments: list[str] | None = None) -> None:
         code = 130
     except BrokenPipeError:
         code = 1
+    except OSError as error:  # of a library that writes by itself
+        where = f" ({error.filename})" if error.filename else ""
+        _complain(f"the system refused to go on: {error.strerror or error}{where}.")
+        code = 1
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise

@@ -151,6 +151,15 @@ def sync_tree(folder: Path) -> None:
         sync(Path(place))
 
 
+def remove_empty_above(path: Path, top: Path) -> None:
+    """Remove the folders above a path up to another one as far as there is nothing in them; other processes may be at work beside it."""
+    for folder in path.parents:
+        if not folder.is_relative_to(top):
+            return
+        with suppress(OSError):
+            folder.rmdir()
+
+
 def remove_empty(folder: Path) -> None:
     """Remove a folder and those below it as far as there is nothing in them."""
     for place, _, _ in os.walk(folder, topdown=False):

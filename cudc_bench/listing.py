@@ -24,7 +24,8 @@ def list_command(
         console.print(table)
     for line in _unfinished():
         console.print(line, markup=False, highlight=False)
-    count = sum(1 for _ in folder.rglob("*.json")) if folder.is_dir() else 0
+    found = folder.rglob("*.json") if folder.is_dir() else []
+    count = sum(not any(part.startswith(".") for part in file.relative_to(folder).parts) for file in found)
     console.print(f"Records in {folder}: {count}", markup=False)
 
 

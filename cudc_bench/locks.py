@@ -14,6 +14,8 @@ from typing import IO
 from cudc_bench.errors import RunError
 from cudc_bench.files import lives, unwritable
 
+_MISSING = 100  # times that its folder may vanish before the lock is given up: those above it may be gone
+
 
 @contextmanager
 def locked(path: Path, what: str) -> Iterator[None]:
@@ -51,12 +53,16 @@ def held_by(path: Path) -> str | None:
 
 
 def _take(path: Path, what: str) -> IO[str]:
+    missing = 0
     while True:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             try:
+                path.parent.mkdir(parents=True, exist_ok=True)
                 file = stack.enter_context(path.open("a+"))
             except FileNotFoundError:
+                missing += 1
+                if missing > _MISSING:
+                    raise
                 continue  # somebody removed the folder, which was empty
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -66,9 +72,13 @@ def _take(path: Path, what: str) -> IO[str]:
                 raise RunError(f"{holder} is writing {what}; wait for it to end.") from None
             if not _is_at(path, file):
                 continue  # the holder before us removed it after we had opened it; others lock a new file of that name
-            file.truncate(0)
-            file.write(f"{os.getpid()} {platform.node()}")
-            file.flush()
+            try:
+                file.truncate(0)
+                file.write(f"{os.getpid()} {platform.node()}")
+                file.flush()
+            except OSError:
+                path.unlink(missing_ok=True)  # on a full disk it could be made, but not be written
+                raise
             stack.pop_all()
             return file
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from cudc_bench.errors import BrokenDownError
@@ -27,3 +30,29 @@ def member_rows(metrics: Mapping[str, Tensor], step: int) -> list[dict[str, floa
     if broken:
         raise BrokenDownError(f"training broke down at step {step:,}: {', '.join(broken)} not finite; try a smaller learning_rate.")
     return rows
+
+
+def check_actions(actions: NDArray[Any], observations: NDArray[Any], where: str) -> None:
+    """Refuse actions that are not finite before a simulator gets them: it would say that it had diverged.
+
+    Args:
+        actions, observations: any shapes; the actions follow the observations.
+        where: the run stands, such as ``"at step 5"``.
+
+    Raises:
+        BrokenDownError: the observations were not finite, or else the networks are broken.
+    """
+    if np.isfinite(actions).all():
+        return
+    check_simulated(observations, where)
+    raise BrokenDownError(f"training broke down {where}: actions not finite; try a smaller learning_rate.")
+
+
+def check_simulated(values: NDArray[Any], where: str) -> None:
+    """Refuse what a simulation led to if it is not finite.
+
+    Raises:
+        BrokenDownError: it is not.
+    """
+    if not np.isfinite(values).all():
+        raise BrokenDownError(f"the simulation broke down {where}: what was observed is not finite; run again with another seed.")

@@ -19,7 +19,7 @@ from cudc_bench.data.reader import FlatEpisodes, load_episodes
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
-from cudc_bench.files import remove_empty
+from cudc_bench.files import remove_empty_above
 from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.locks import locked
 from cudc_bench.manifest import Manifest, read_manifest
@@ -250,7 +250,7 @@ def _tidy(run: Run, results: Path, device: str) -> None:
     if checkpoints.folder.exists() or lock.exists():
         with suppress(RunError), locked(lock, ""):
             checkpoints.remove()
-        remove_empty(results / CHECKPOINTS)
+        remove_empty_above(lock, results / CHECKPOINTS)
 
 
 def evaluate_members(
@@ -260,12 +260,14 @@ def evaluate_members(
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
     plan, seeds = runs[0].plan, [run.manifest.seed for run in runs]
     facts = check_domain(runs[0].manifest.domain)
+    checkpoints = _checkpoints(runs, results, device, checkpoint_every)
     with ExitStack() as stack:
+        for path in (checkpoints.folder, *(_lock(run, results) for run in runs)):
+            stack.callback(remove_empty_above, path, results / CHECKPOINTS)
         for run in runs:
             stack.enter_context(locked(_lock(run, results), f"'{run.path}'"))
         if not overwrite and all(map(_done, runs)):
             return  # by another process, while this one was starting
-        checkpoints = _checkpoints(runs, results, device, checkpoint_every)
         if fresh:
             checkpoints.remove()
         agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
@@ -284,7 +286,6 @@ def evaluate_members(
                 save_policy(agent, member, run.path)
             write_record(run.path, _record(run, outcome, device, round(checkpoints.seconds, 1)))
         checkpoints.remove()
-    remove_empty(results / CHECKPOINTS)
 
 
 def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device | str, used: int | None = None) -> Episodes:
@@ -306,9 +307,9 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
         key = (fields["observations"], fields["actions"])
         if key not in sources:
             sources[key] = len(flats)
-            flats.append(load_episodes(one, ("observations", "actions")))
+            flats.append(load_episodes(one, ("observations", "actions"), verify=True))
         source_of_member.append(sources[key])
-        rewards.append(torch.from_numpy(load_episodes(one, ("rewards",)).arrays["rewards"]))
+        rewards.append(torch.from_numpy(load_episodes(one, ("rewards",), verify=True).arrays["rewards"]))
     steps = used or max(int(flat.lengths.sum()) for flat in flats)
     first = flats[0].arrays
     episodes = Episodes(
@@ -437,7 +438,10 @@ def _done(run: Run) -> bool:
     """
     if not run.path.exists():
         return False
-    record = read_record(run.path)
+    try:
+        record = read_record(run.path)
+    except RunError as error:
+        raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
     same = (run.manifest.fingerprint, config_hash(run.plan.values), run.used)
     if (record.dataset.fingerprint, record.hyperparameters_hash, record.dataset.used) == same:
         return True

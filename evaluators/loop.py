@@ -17,7 +17,7 @@ from cudc_bench.config import PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
 from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
-from cudc_bench.metrics import member_rows
+from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.parallel import cores, torch_threads
 from cudc_bench.replay import Episodes
 from cudc_bench.runlog import RunLog
@@ -88,7 +88,7 @@ class Arena:
         """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``.
 
         Raises:
-            RunError: a simulation diverged.
+            BrokenDownError: a simulation diverged, or an observation, an action or a return is not finite.
             Interrupted: the process was asked to leave; an evaluation is repeated as a whole.
         """
         members, episodes = len(seeds), len(seeds[0])
@@ -123,6 +123,7 @@ class Arena:
                     raise interrupts.interrupted("")
                 stacked = torch.from_numpy(observations).view(members, episodes, -1).to(agent.device)
                 actions = agent.act(stacked).cpu().numpy().reshape(count, -1)
+                check_actions(actions, observations, "before this evaluation")
                 stepping = [pool.submit(step, share) for share in others]
                 step(mine)
                 for one in stepping:
@@ -131,6 +132,7 @@ class Arena:
                     total += self._rewards(quantities)[rows, task]
                 else:
                     total += self._custom(Measured(self._domain, quantities, states, actions, observations))
+        check_simulated(total, "in an evaluation")
         return total.reshape(members, episodes)
 
     def _prepare(self, count: int, threads: int) -> None:

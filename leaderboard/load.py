@@ -119,7 +119,8 @@ def _files(paths: Iterable[Path]) -> list[Path]:
     found: dict[str, Path] = {}
     for path in paths:
         for file in sorted(path.rglob("*.json")) if path.is_dir() else [path]:
-            if not file.is_dir():
+            # Hidden is what evaluations keep that are not done.
+            if not file.is_dir() and not any(part.startswith(".") for part in file.relative_to(path).parts):
                 found.setdefault(os.path.realpath(file), file)
     return list(found.values())
 

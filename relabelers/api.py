@@ -20,6 +20,7 @@ from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import remove_empty, unwritable
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
 from cudc_bench.options import CHECKPOINT_EVERY, check_folder
@@ -95,6 +96,8 @@ def relabel(
     say(f"relabel {base_id} ({base.describe()}) for {', '.join(left)}")
     started = time.monotonic()
     with ExitStack() as stack:
+        for one in left.values():
+            stack.callback(remove_empty, dataset_path(one).parent)  # a task without datasets, if this ends without one
         folders = {task: stack.enter_context(staging(one, resume=True)) for task, one in left.items()}
         if not overwrite and all(_is_made(base, base_id, one, task, function, standalone) for task, one in left.items()):
             return [str(one) for one in ids.values()]  # by another process, while this one was starting
@@ -104,7 +107,10 @@ def relabel(
         coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
         for index, (task, one) in enumerate(left.items()):
             columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
-            _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+            try:
+                _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+            except OSError as error:
+                raise unwritable(f"'{one}' below {dataset_path(one).parent}", error) from None
             mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
             say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
     return [str(one) for one in ids.values()]
@@ -138,7 +144,7 @@ def _rewards(
     found = _resume(kept, decisive)
     last = time.monotonic()
     with bars([("rewards", base.steps)], "states") as (advance,):
-        for index, episode in enumerate(read_episodes(base_id, names)):
+        for index, episode in enumerate(read_episodes(base_id, names, verify=True)):
             # Row 0 of an episode is its reset, which no action led to.
             states, actions = episode["infos/physics"][1:], episode["actions"]
             if index >= len(found):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench.data.storage import LINKED, READ_ERRORS, check_copy
-from cudc_bench.data.writer import MAIN_FILE, write_contiguous, write_episode_attributes
+from cudc_bench.data.writer import MAIN_FILE, new_file, write_contiguous, write_episode_attributes
 from cudc_bench.errors import RunError
 
 
@@ -26,7 +26,7 @@ def write_linked(base: Path, data: Path, final: Path, rewards: list[NDArray[np.f
     """
     data.mkdir(parents=True, exist_ok=True)
     target = os.path.relpath(base, final)
-    with h5py.File(base, "r") as source, h5py.File(data / MAIN_FILE, "w", track_order=True) as file:
+    with h5py.File(base, "r") as source, new_file(data / MAIN_FILE) as file:
         for index, values in enumerate(rewards):
             name = f"episode_{index}"
             original, group = source[name], file.create_group(name)

@@ -98,17 +98,18 @@ def has_reset_row(name: str) -> bool:
     return name == "observations" or name.startswith("infos/")
 
 
-def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Path | None = None) -> FlatEpisodes:
+def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Path | None = None, verify: bool = False) -> FlatEpisodes:
     """Read some fields of a dataset.
 
     Args:
         dataset_id: which dataset.
         fields: such as ``("observations", "actions", "infos/physics")``.
         root: Minari's root unless given.
+        verify: hash them and compare with the manifest.
 
     Raises:
         UsageError: no such dataset, or not one of ours.
-        RunError: the base of a linked dataset is missing or another one, or the file is damaged.
+        RunError: the base of a linked dataset is missing or another one, the file is damaged, or (with ``verify``) a hash does not fit.
     """
     checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
     manifest = read_manifest(checked, root)
@@ -126,7 +127,14 @@ def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Pa
             _check_rows(arrays, manifest)
     except READ_ERRORS as error:
         raise _unreadable(checked, path, error) from None
-    return FlatEpisodes(arrays, lengths, manifest)
+    flat = FlatEpisodes(arrays, lengths, manifest)
+    if verify:
+        hasher = FieldHasher()
+        for name in fields:
+            for part in flat.split(name):
+                hasher.update(name, part)
+        _check_hashes(checked, manifest, hasher)
+    return flat
 
 
 def _unreadable(dataset_id: DatasetId, path: Path, error: Exception) -> RunError:
@@ -221,13 +229,16 @@ def _episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | No
             yield {name: read_field(group, name) for name in names}
 
 
-def read_episodes(dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None) -> Iterator[dict[str, Array]]:
+def read_episodes(
+    dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None, verify: bool = False
+) -> Iterator[dict[str, Array]]:
     """Some fields of a dataset, one episode in memory after the other.
 
     Args:
         dataset_id: which dataset.
         names: of the fields.
         root: Minari's root unless given.
+        verify: hash them, and compare with the manifest after the last episode.
 
     Raises:
         UsageError: no such dataset, or not one of ours.
@@ -237,15 +248,25 @@ def read_episodes(dataset_id: DatasetId | str, names: tuple[str, ...], root: Pat
     manifest = read_manifest(checked, root)
     check_base(manifest, checked, root)
     path = dataset_path(checked, root) / "data" / MAIN_FILE
+    hasher = FieldHasher()
     try:
         for index, episode in enumerate(_episodes(path, names, manifest.episodes, base_file(manifest, root))):
             steps = {len(array) - has_reset_row(name) for name, array in episode.items()}
             if len(steps) != 1:
                 raise ValueError(f"episode_{index} has fields of different lengths")
             _check_rows(episode, manifest)
+            for name, array in episode.items() if verify else ():
+                hasher.update(name, array)
             yield episode
     except READ_ERRORS as error:
         raise _unreadable(checked, path, error) from None
+    _check_hashes(checked, manifest, hasher)
+
+
+def _check_hashes(dataset_id: DatasetId | str, manifest: Manifest, hasher: FieldHasher) -> None:
+    changed = [name for name, found in hasher.digests().items() if found != manifest.fields.get(name)]
+    if changed:
+        raise RunError(f"'{dataset_id}' does not fit its fingerprint: {', '.join(changed)} changed after it was made.")
 
 
 def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = None) -> None:
@@ -312,8 +333,7 @@ def verify_fingerprint(dataset_id: DatasetId | str, root: Path | None = None) ->
     for episode in read_episodes(dataset_id, tuple(manifest.fields), root):
         for name, array in episode.items():
             hasher.update(name, array)
-    found = hasher.digests()
-    changed = [name for name, digest in found.items() if digest != manifest.fields[name]]
-    if changed or fingerprint(found) != manifest.fingerprint:
-        raise RunError(f"'{dataset_id}' does not fit its fingerprint: {', '.join(changed) or 'the manifest'} changed after it was made.")
+    _check_hashes(dataset_id, manifest, hasher)
+    if fingerprint(hasher.digests()) != manifest.fingerprint:
+        raise RunError(f"'{dataset_id}' does not fit its fingerprint: the manifest changed after it was made.")
     return manifest.fingerprint

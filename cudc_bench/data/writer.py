@@ -6,14 +6,16 @@ contiguous storage, which is smaller and faster than Minari's chunked one and re
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -118,11 +120,11 @@ class EpisodeShards:
         with temporary.open("wb") as file:
             for episode in self._pending:
                 head = [episode.seed or 0, episode.seed is not None, episode.rewards is not None]
-                np.save(file, np.array(head, np.uint64), allow_pickle=False)
+                _save(file, np.array(head, np.uint64))
                 infos = [episode.infos[name] for name in sorted(episode.infos)]
                 rewards = [] if episode.rewards is None else [episode.rewards]
                 for array in (episode.observations, episode.actions, *infos, *rewards):
-                    np.save(file, array, allow_pickle=False)
+                    _save(file, array)
         sync(temporary)
         temporary.replace(path)
         sync(self._folder)
@@ -146,6 +148,13 @@ class EpisodeShards:
     def remove(self) -> None:
         """Delete the shards: the dataset is complete without them."""
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _save(file: IO[bytes], array: Array) -> None:
+    """``np.save``, which writes to a file of the system by itself and, on a full disk, does not say that it is full."""
+    content = io.BytesIO()
+    np.save(content, array, allow_pickle=False)
+    file.write(content.getbuffer())
 
 
 def _checksum(path: Path) -> list[int]:
@@ -175,7 +184,7 @@ def write_episodes(data: Path, episodes: Iterator[Episode] | list[Episode]) -> W
     """
     data.mkdir(parents=True, exist_ok=True)
     hasher, count, steps = FieldHasher(), 0, 0
-    with h5py.File(data / MAIN_FILE, "w", track_order=True) as file:
+    with new_file(data / MAIN_FILE) as file:
         for index, episode in enumerate(episodes):
             group = file.create_group(f"episode_{index}")
             infos = group.create_group("infos") if episode.infos else group
@@ -187,6 +196,59 @@ def write_episodes(data: Path, episodes: Iterator[Episode] | list[Episode]) -> W
             write_episode_attributes(group, index, episode.seed, arrays["rewards"])
             count, steps = index + 1, steps + len(episode.actions)
     return Written(count, steps, hasher.digests())
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file, whole when this context ends.
+
+    Raises:
+        OSError: it cannot be written, with the number that says why.
+    """
+    with _Disk(path, "w+") as disk:
+        try:
+            with h5py.File(disk, "w", track_order=True) as file:
+                yield file
+        except Exception:
+            if disk.failed is None:
+                raise
+        if disk.failed is not None:
+            raise disk.failed
+
+
+class _Disk(io.FileIO):
+    """A file of which HDF5 believes that everything could be written.
+
+    HDF5 cannot close a file that it could not write: the process crashes then, or later. Its own errors do not say either that a disk is
+    full. So the first failure is kept until the file is closed.
+    """
+
+    failed: BaseException | None = None
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while len(rest) and self.failed is None:
+                rest = rest[super().write(rest) :]
+        except BaseException as error:  # an interruption, too, would be lost in HDF5
+            self.failed = error
+        return size
+
+    def readinto(self, buffer: Any) -> int:
+        if self.failed is None:
+            return super().readinto(buffer)
+        view = memoryview(buffer).cast("B")
+        view[:] = bytes(len(view))
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            if self.failed is None:
+                super().truncate(size)
+        except BaseException as error:
+            self.failed = error
+        return size or 0
 
 
 def write_contiguous(group: h5py.Group, name: str, array: Array) -> None:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench.envs.domains import Domain
-from cudc_bench.errors import RunError, UsageError, nearest
+from cudc_bench.errors import BrokenDownError, RunError, UsageError, nearest
 
 Array = NDArray[Any]
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):(?P<function>[A-Za-z_]\w*)", re.ASCII)
@@ -53,7 +53,8 @@ class Measured(Mapping[str, Array]):
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._arrays:
-            raise RunError(f"{self._domain} measures no '{name}'; a reward sees: {', '.join(self._arrays)}.{nearest(name, self._arrays)}")
+            names = ", ".join(self._arrays)
+            raise BrokenDownError(f"{self._domain} measures no '{name}'; a reward sees: {names}.{nearest(name, self._arrays)}")
         return self._arrays[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -83,7 +84,7 @@ class CustomReward:
         """Rewards (N,) of N steps.
 
         Raises:
-            RunError: the function failed, or what it returned is not N finite numbers.
+            BrokenDownError: the function failed, or what it returned is not N finite numbers.
         """
         steps = len(measured["action"])
         try:
@@ -91,11 +92,15 @@ class CustomReward:
         except RunError:
             raise
         except Exception as error:
-            raise RunError(f"the reward function {self.reference} failed: {type(error).__name__}: {error}.") from error
+            raise BrokenDownError(f"the reward function {self.reference} failed: {type(error).__name__}: {error}.") from error
         if rewards.shape != (steps,):
-            raise RunError(f"the reward function {self.reference} returned shape {rewards.shape} for {steps} steps; return ({steps},).")
+            raise BrokenDownError(
+                f"the reward function {self.reference} returned shape {rewards.shape} for {steps} steps; return ({steps},)."
+            )
         if not np.isfinite(rewards).all():
-            raise RunError(f"the reward function {self.reference} returned numbers that are not finite; first at row {_first(rewards)}.")
+            raise BrokenDownError(
+                f"the reward function {self.reference} returned numbers that are not finite; first at row {_first(rewards)}."
+            )
         return rewards
 
 

@@ -1,0 +1,96 @@
+"""Starts one command twice at the same moment, many times over: one process does the work, and the other says who does.
+
+``python -m tests.racing collect 50`` does so 50 times. Processes are forked from one that has imported everything, and wait on a pipe for
+the start, so that they are apart by less than the work takes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+import cudc_bench
+from cudc_bench import cli
+from cudc_bench.data.reader import verify_fingerprint
+from cudc_bench.records import read_record
+
+from .smalldisk import Ended, forked
+
+BASE = "walker/random-v0"
+COMMANDS = {
+    "collect": ["collect", "--method", "random", "--set", "steps=600"],
+    "relabel": ["relabel", BASE, "--task", "walk"],
+    "evaluate": [
+        "evaluate", "--algo", "bc", "--dataset-id", "walker/run/random-v0", "--set", "gradient_steps=2", "--set", "evaluate_every=2",
+        "--set", "milestones=[2]", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--output", "results",
+    ],
+}  # fmt: skip
+
+
+def race(what: str, folder: Path) -> str:
+    """Start both, and say how it went: ``"refused"`` if one was, ``"kept"`` if it came when the other had done the work.
+
+    Raises:
+        AssertionError: both did the work, or neither, or something is left or half-written.
+    """
+    command = [*COMMANDS[what], "--workers", "1", "--profile", "smoke"]
+    waiting, go = os.pipe()
+
+    def start() -> None:
+        os.close(go)
+        print(os.getpid(), file=sys.stderr)
+        os.read(waiting, 1)
+        cli.main(command)
+
+    ends: list[Callable[[], Ended]] = [forked(start, folder / name) for name in ("first", "second")]
+    os.close(go)
+    os.close(waiting)
+    done = sorted(end() for end in ends)
+    assert done[0].code == 0, done
+    refusal = rf"cudc-bench: error: process {done[0].err.split()[0]} is writing '[^']+'; wait for it to end\."
+    assert done[1].code == 0 or (done[1].code == 1 and re.fullmatch(refusal, done[1].line)), done
+    assert "Traceback" not in done[0].err + done[1].err
+    # The place, what it is made of, and nothing else.
+    results, datasets = folder / "results", folder / "datasets"
+    if what == "evaluate":
+        (record,) = results.rglob("*.json")
+        read_record(record)
+        assert not (results / ".checkpoints").exists()
+        shutil.rmtree(results)
+    else:
+        made = BASE if what == "collect" else "walker/walk/random-v0"
+        verify_fingerprint(made)
+        place = (datasets / made).parent
+        assert [path.name for path in place.iterdir() if path.name.startswith(".")] == []
+        shutil.rmtree(datasets / made)
+    return "refused" if done[1].code else "kept"
+
+
+def run(what: str, times: int) -> Counter[str]:
+    """Race so many times, and count how it went."""
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.chdir(folder)
+        os.environ["MINARI_DATASETS_PATH"] = str(folder / "datasets")
+        # Whatever the commands need of it, and import.
+        cudc_bench.relabel(*cudc_bench.collect("random", profile="smoke", settings={"steps": 2000}), ["run"])
+        if what == "collect":
+            shutil.rmtree(folder / "datasets")
+        if what == "evaluate":
+            cudc_bench.evaluate("bc", dataset_id="walker/run/random-v0", profile="smoke", steps=2, settings={"evaluate_every": 2})
+            shutil.rmtree("results")
+        return Counter(race(what, folder) for _ in range(times))
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(sys.argv[1], int(sys.argv[2]))))
