@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from cudc_bench import interrupts
 from cudc_bench.config import config_hash
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.data.statistics import measure_coverage
@@ -92,7 +93,8 @@ def import_exorl(
     for line in _remarks(files, first.layout, task):
         say(line)
     tally = _Tally()
-    with staging(one) as building:
+    # An interruption while HDF5 writes would be lost in it.
+    with staging(one) as building, interrupts.leave_well(saves=False):
         with bars([(f"import {method}", total)], "steps") as (advance,):
             written = write_episodes(building / "data", _episodes(chosen, facts, first.layout, task, tally, advance))
         manifest = Manifest(
@@ -149,6 +151,8 @@ def _episodes(
         RunError: a file does not fit.
     """
     for file, length in chosen:
+        if interrupts.requested():
+            raise KeyboardInterrupt
         try:
             raw = read_episode(file, domain)
             if raw.layout != layout:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_NOTICE = "\ncudc-bench: finishing this step and saving; interrupt once more to stop at once.\n"
+_NOTICE = "\ncudc-bench: finishing this step{}; interrupt once more to stop at once.\n"
 _SAME = 0.3  # seconds within which two signals are one request
 
 _asked = 0  # the signal's number, 0 for none
@@ -57,11 +57,12 @@ def interrupted(where: str) -> Interrupted:
 
 
 @contextmanager
-def leave_well(pass_on: Callable[[], None] = lambda: None) -> Iterator[None]:
+def leave_well(pass_on: Callable[[], None] = lambda: None, saves: bool = True) -> Iterator[None]:
     """Within this context the first SIGINT or SIGTERM only asks; outside the main thread, nothing changes.
 
     Args:
         pass_on: called with the first signal, to ask processes that work for this one.
+        saves: whether what is done by then is kept.
     """
     global _asked
     if threading.current_thread() is not threading.main_thread():
@@ -80,7 +81,7 @@ def leave_well(pass_on: Callable[[], None] = lambda: None) -> Iterator[None]:
         first = time.monotonic()
         ask(number)
         # Not through a stream: this may have come while its buffer was being written.
-        os.write(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, _NOTICE.encode())
+        os.write(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, _NOTICE.format(" and saving" if saves else "").encode())
         pass_on()
 
     before = [signal.signal(number, handle) for number in _SIGNALS]

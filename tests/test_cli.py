@@ -296,7 +296,8 @@ def test_workers_leave_when_the_process_that_started_them_is_killed(environment:
     process = subprocess.Popen([sys.executable, "-m", "cudc_bench.cli", *arguments], env=environment, cwd=tmp_path, stderr=subprocess.PIPE)
     try:
         locks = [datasets / "walker" / f".{name}-v0.lock" for name in ("random", "random-seed2")]
-        wait_until(lambda: all(lock.exists() and lock.read_text() for lock in locks))
+        lines = [datasets / "walker" / f".{name}-v0.building" / "diagnostics.jsonl" for name in ("random", "random-seed2")]
+        wait_until(lambda: all(path.exists() for path in lines))
         workers = [int(lock.read_text().split()[0]) for lock in locks]
     finally:
         process.kill()

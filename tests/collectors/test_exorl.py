@@ -398,7 +398,7 @@ def test_a_later_file_that_does_not_fit_ends_the_import_with_nothing_left(fault:
     with pytest.raises(RunError, match=r"episode_000001_5\.npz' .*\. Nothing was written\.$") as caught:
         cudc_bench.import_exorl(folder, "proto")
     assert message in str(caught.value)
-    assert everything(datasets) == ["walker"]
+    assert everything(datasets) == []
     assert minari.list_local_datasets() == {}
     # What the damaged file is not asked for does not stand in the way.
     cudc_bench.import_exorl(folder, "proto", steps=5)
@@ -416,7 +416,7 @@ def test_all_files_hold_the_same_arrays(change: Callable[[Arrays], Any], dataset
         RunError, match=r"episode_000001_5\.npz' holds other optional arrays \(.*\) than 'episode_000000_5\.npz' \(physics, "
     ):
         cudc_bench.import_exorl(write(tmp_path / "files", [first, second]), "proto")
-    assert everything(datasets) == ["walker"]
+    assert everything(datasets) == []
 
 
 def test_jaco_as_urlb_has_it_is_told_from_exorls(tmp_path: Path) -> None:
@@ -512,7 +512,9 @@ def test_the_command_imports_a_damaged_file_whole_or_not_at_all(
         assert list(minari.list_local_datasets()) == ["walker/proto-v0"]
         shutil.rmtree(datasets)
         return
-    assert (ended.value.code, out) == (2 if first else 1, "")
+    # A first file may be as good as any, and then it is the other one that does not fit it.
+    assert ended.value.code == (2 if first and "'episode_000001_5.npz'" not in err else 1), err
+    assert out == ""
     assert err.splitlines()[-1].startswith("cudc-bench: error: '")
     assert len([line for line in err.splitlines() if "error" in line]) == 1
     assert "Traceback" not in err
@@ -612,7 +614,7 @@ def test_interrupted_an_import_leaves_nothing_that_can_be_seen(
     assert minari.list_local_datasets() == {}
     if number == signal.SIGINT:
         assert (process.returncode, err.splitlines()[-1]) == (130, "cudc-bench: error: interrupted.")
-        assert everything(datasets) == ["walker"]
+        assert everything(datasets) == []
     else:
         assert building.exists(), "it was not killed in the middle"
         cudc_bench.import_exorl(folder, "proto", steps=1000)

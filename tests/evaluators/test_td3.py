@@ -96,12 +96,19 @@ def test_the_arena_returns_the_same_with_any_number_of_threads(domain):
 
 
 def test_a_simulator_that_diverges_in_another_thread_ends_the_evaluation():
+    steps = []
+
     class Wild(Still):
         def act(self, observation):
-            return super().act(observation).clone().index_fill_(1, torch.tensor([2]), math.nan)
+            steps.append(1)
+            if len(steps) == 5:
+                arena._simulators[2].data.qvel[:] = 1e12
+            return super().act(observation)
 
+    arena = Arena(DOMAINS["walker"], ["walk"], 3)
     with pytest.raises(RunError, match="the walker simulation diverged"):
-        Arena(DOMAINS["walker"], ["walk"], 3).returns(Wild(torch.zeros(6)), [[1, 2, 3]])
+        arena.returns(Wild(torch.zeros(6)), [[1, 2, 3]])
+    assert len(steps) == 5
 
 
 def test_the_arena_returns_what_gymnasium_returns():
