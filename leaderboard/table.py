@@ -221,7 +221,12 @@ def ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
 def slug(group: str, algorithm: str, domain: str) -> str:
     """A safe and unique name for the files of a group on a domain; ``algorithm`` is a name without a dot."""
     # Neither group nor algorithm has a dot, so different triples cannot give one slug.
-    return f"{_word(group, _NAME)}.{algorithm}.{_word(domain_slug(domain), _DOMAIN)}"
+    return f"{group_slug(group, algorithm)}.{_word(domain_slug(domain), _DOMAIN)}"
+
+
+def group_slug(group: str, algorithm: str) -> str:
+    """The same for the files of all of its domains; its one dot keeps it apart from any single domain's, whatever that is called."""
+    return f"{_word(group, _NAME)}.{algorithm}"
 
 
 def _word(text: str, allowed: re.Pattern[str]) -> str:
