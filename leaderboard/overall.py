@@ -29,12 +29,11 @@ from cudc_bench.records import Record
 
 from . import statistics
 from .load import column, short
-from .statistics import Floats, Integers, Interval
+from .statistics import SIGNIFICANCE, Floats, Integers, Interval
 from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
 ALL = "all domains"
-SIGNIFICANCE = 0.05
 Task = tuple[str, str]
 
 
@@ -176,9 +175,9 @@ class Overall:
         """What the numbers are, in plain ASCII except for what records bring along."""
         return (
             f"Returns of {self.algorithm} divided by each task's largest possible return, over collector seeds and tasks."
-            f" Profile: {self.group}. IQM: mean without the lowest and highest quarter of runs. Median: of the tasks' means. Optimality gap:"
-            " mean of max(0, 1 - score), smaller is better. In square brackets: 95 % intervals by a cluster bootstrap (datasets resampled with all their tasks;"
-            " expanded percentiles; 10,000 resamples, fixed seed)."
+            f" Profile: {self.group}. IQM: mean without the lowest and highest quarter of runs. Median: of the tasks' means. Optimality"
+            " gap: mean of max(0, 1 - score), smaller is better. In square brackets: 95 % intervals by a cluster bootstrap"
+            " (datasets resampled with all their tasks; expanded percentiles; 10,000 resamples, fixed seed)."
             " In braces: the plain stratified bootstrap, which takes a dataset's tasks for independent and is too narrow."
             " A single seed has no interval."
             + (" Preliminary: fewer than five seeds." if any(comparison.preliminary for comparison in self.comparisons) else "")
@@ -187,8 +186,8 @@ class Overall:
 
 PAIRS_CAPTION = (
     "Probability that a run of the row's method is better than one of the column's on the same task (ties count half). Bold: an"
-    " improvement, which is a 95 % interval by the cluster bootstrap above 0.5 and a two-sided p below 0.05 by a permutation of datasets, after Holm's"
-    " correction for the row's comparisons."
+    " improvement, which is a 95 % interval by the cluster bootstrap above 0.5 and a two-sided p below 0.05 by a permutation of datasets,"
+    " after Holm's correction for the row's comparisons."
 )
 
 
