@@ -14,7 +14,19 @@ from .files import only, write_files
 from .load import Loaded, load_records
 from .overall import Overall, build_overall
 from .overall_figures import overall_figure_files
-from .render import overall_to_csv, overall_to_latex, overall_to_markdown, scores_to_csv, to_csv, to_latex, to_markdown
+from .published import beside_paper
+from .render import (
+    overall_to_csv,
+    overall_to_latex,
+    overall_to_markdown,
+    paper_to_csv,
+    paper_to_latex,
+    paper_to_markdown,
+    scores_to_csv,
+    to_csv,
+    to_latex,
+    to_markdown,
+)
 from .table import Table, build_tables
 
 
@@ -44,8 +56,9 @@ def make_leaderboard(
 ) -> Report:
     """Make tables and learning curves from run records.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``. For each group
-    and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, and
+    ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
+    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
     ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. Each file is replaced whole. The same records give the same bytes.
 
     Args:
@@ -88,7 +101,16 @@ def _load(paths: Sequence[Path]) -> Loaded:
 
 
 def _contents(table: Table) -> dict[str, str | bytes]:
-    return {"table.md": to_markdown(table), "table.tex": to_latex(table), "table.csv": to_csv(table), **curve_files(table)}
+    files: dict[str, str | bytes] = {
+        "table.md": to_markdown(table),
+        "table.tex": to_latex(table),
+        "table.csv": to_csv(table),
+        **curve_files(table),
+    }
+    paper = beside_paper(table)
+    if paper is not None:
+        files |= {"paper.md": paper_to_markdown(paper), "paper.tex": paper_to_latex(paper), "paper.csv": paper_to_csv(paper)}
+    return files
 
 
 def _overall_contents(overall: Overall) -> dict[str, str | bytes]:

@@ -14,6 +14,7 @@ from cudc_bench.markup import escape_markdown, plain, templates
 from .diagnostics import Comparison
 from .load import short
 from .overall import PAIRS_CAPTION, Estimate, Overall, Pair
+from .published import PaperTable
 from .statistics import Interval
 from .table import Cell, Table
 
@@ -75,6 +76,30 @@ def to_rich(table: Table) -> Group:
         shown.add_section()
     title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
     return Group(title, shown, Text(table.caption, style="dim"))
+
+
+def paper_to_markdown(paper: PaperTable) -> str:
+    """Our cells beside the paper's, a table for each milestone."""
+    return _render("paper.md.j2", escape_markdown, paper=paper)
+
+
+def paper_to_latex(paper: PaperTable) -> str:
+    """The same as one table for ``booktabs``."""
+    return _render("paper.tex.j2", escape_latex, paper=paper)
+
+
+def paper_to_csv(paper: PaperTable) -> str:
+    """One line for each cell that the paper has, too, in full precision."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "paper_mean", "paper_std",
+                     "difference_in_paper_std", "relative_to_cudc", "paper_relative_to_cudc"])  # fmt: skip
+    table = paper.table
+    for row in (*paper.rows, *paper.relative):
+        ours = [row.ours.mean, row.ours.std, row.ours.n] if row.ours else [None] * 3
+        theirs = [*(row.paper or (None, None)), row.difference, row.relative, row.paper_relative]
+        writer.writerow([table.group, table.algorithm, table.domain, row.milestone, row.task, row.method, *ours, *theirs])
+    return text.getvalue()
 
 
 AGGREGATES = {"iqm": "IQM", "median": "median", "mean": "mean", "optimality_gap": "optimality gap"}
