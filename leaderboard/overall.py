@@ -219,6 +219,9 @@ def _comparisons(tables: Sequence[Table]) -> tuple[Comparison, ...]:
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
         domains, notes = {}, []
         for table in sorted(tables, key=lambda table: _place(table.domain)):
+            if all(section.milestone != milestone for section in table.sections):
+                notes.append(f"{table.domain}: {short(milestone)} steps is none of its milestones.")
+                continue
             results = _results(table.records, milestone)
             known = DOMAINS[table.domain].tasks if table.domain in DOMAINS else ()
             unknown = sorted({task for tasks in results.values() for task in tasks} - set(known))
