@@ -34,6 +34,7 @@ from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
 ALL = "all domains"
+PRELIMINARY = "Preliminary: fewer than five seeds, whose intervals hold the truth less often than they say."
 Task = tuple[str, str]
 
 
@@ -180,7 +181,7 @@ class Overall:
             " (datasets resampled with all their tasks; expanded percentiles; 10,000 resamples, fixed seed)."
             " In braces: the plain stratified bootstrap, which takes a dataset's tasks for independent and is too narrow."
             " A single seed has no interval."
-            + (" Preliminary: fewer than five seeds." if any(comparison.preliminary for comparison in self.comparisons) else "")
+            + (f" {PRELIMINARY}" if any(comparison.preliminary for comparison in self.comparisons) else "")
         )
 
 

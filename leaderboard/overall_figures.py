@@ -38,9 +38,10 @@ def draw_intervals(overall: Overall) -> Figure:
 
     comparison = overall.headline
     rows = len(comparison.standings)
-    figure = Figure(figsize=(9.6, 0.26 * rows + 1.5))
+    title = _title("Aggregates and 95 % intervals", overall, 120)
+    figure = Figure(figsize=(9.6, 0.26 * rows + 0.2 * title.count("\n") + 1.8))
     panels = figure.subplots(1, len(_AGGREGATES), sharey=True)
-    figure.suptitle(_title("Aggregates and 95 % intervals", overall, 120), fontsize=9)
+    figure.suptitle(title, fontsize=9)
     shown = looks(comparison.methods)
     for panel, (name, label) in zip(panels, _AGGREGATES.items(), strict=True):
         for row, standing in enumerate(comparison.standings):
@@ -90,7 +91,7 @@ def draw_ranks(overall: Overall) -> Figure:
     count = len(standings)
     width = max(5.2, 0.46 * count + 2.4)
     title = _title("Probability of each rank by IQM, in per cent", overall, int(width * 13))
-    figure = Figure(figsize=(width, 0.27 * count + 0.2 * title.count("\n") + 1.1))
+    figure = Figure(figsize=(width, 0.27 * count + 0.2 * title.count("\n") + 1.2))
     panel = figure.subplots()
     figure.suptitle(title, fontsize=9)
     shown = looks(comparison.methods)

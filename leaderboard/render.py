@@ -13,7 +13,7 @@ from cudc_bench.markup import escape_markdown, plain, templates
 
 from .diagnostics import Comparison
 from .load import short
-from .overall import PAIRS_CAPTION, Estimate, Overall, Pair
+from .overall import PAIRS_CAPTION, PRELIMINARY, Estimate, Overall, Pair
 from .published import PaperTable
 from .statistics import Interval
 from .table import Cell, Table
@@ -178,7 +178,7 @@ def overall_to_rich(overall: Overall) -> Group:
     lines = [
         "Returns divided by each task's largest; IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
         f"Improvements (interval above 0.5, Holm's p < 0.05): {len(wins)}{f', such as {wins[-1]}' if wins else ''}.",
-        *(["Preliminary: fewer than five seeds."] if comparison.preliminary else []),
+        *([PRELIMINARY] if comparison.preliminary else []),
         *(f"Left out: {line}" for line in comparison.left_out),
     ]
     title = Text(f"Overall: {overall.algorithm}, profile {overall.group}: {comparison.title}", style="bold")

@@ -193,7 +193,7 @@ def test_a_single_seed_has_no_interval_and_improves_on_nothing(runs: Callable) -
     # Ranks are those among methods that have an interval; a family is those that can be tested.
     assert (icm.ranks, random_runs.ranks) == ((1.0, 0.0), (0.0, 1.0))
     assert headline.pair("icm", "random").holm == headline.pair("icm", "random").p
-    assert "A single seed has no interval. Preliminary: fewer than five seeds." in overall.caption
+    assert "A single seed has no interval. Preliminary: fewer than five seeds" in overall.caption
 
 
 def test_improvements_need_both_the_interval_and_the_corrected_p(runs: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,7 +269,7 @@ def test_renderings(runs: Callable) -> None:
     shown = screen.file.getvalue()
     assert f"{iqm.value:.3f}  [{iqm.cluster.low:.3f}, {iqm.cluster.high:.3f}]" in shown
     assert "Left out: late: it has no results on jaco." in shown
-    assert "Preliminary: fewer than five seeds." in shown
+    assert "Preliminary: fewer than five seeds" in shown
     frame = pd.read_csv(io.StringIO(overall_to_csv(overall)))
     line = frame[(frame.scope == ALL) & (frame.milestone == 20_000) & (frame.method == "cudc") & (frame.statistic == "iqm")].iloc[0]
     assert (line.value, line.low, line.high, line.stratified_low) == (iqm.value, iqm.cluster.low, iqm.cluster.high, iqm.stratified.low)
