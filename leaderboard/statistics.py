@@ -48,9 +48,8 @@ def iqm(scores: Floats) -> Floats:
     flat = scores.reshape(*scores.shape[:-2], -1)
     count = flat.shape[-1]
     cut = count // 4
-    # Partitioned and not sorted: only membership of the middle half matters, and that takes half the time.
-    middle = np.partition(flat, (cut, count - cut - 1), axis=-1)[..., cut : count - cut] if cut else flat
-    return np.asarray(middle.mean(-1))
+    # Sorted and not partitioned: NumPy sorts with vector instructions, and a sum in sorted order is the same on every machine.
+    return np.asarray(np.sort(flat, axis=-1)[..., cut : count - cut].mean(-1))
 
 
 def median(scores: Floats) -> Floats:

@@ -107,6 +107,12 @@ def test_significance_is_corrected_for_the_methods_of_the_row(make_record):
     assert marked(make_record, {"cudc": TOP, "icm": near} | others) == {"cudc", "icm", *others}
 
 
+def test_methods_may_spread_differently(make_record):
+    tight, wide = [499.0, 500.0, 500.0, 500.0, 501.0], [383.0, 414.0, 446.0, 478.0, 509.0]
+    assert stats.ttest_ind(tight, wide).pvalue < 0.05 < stats.ttest_ind(tight, wide, equal_var=False).pvalue
+    assert marked(make_record, {"cudc": tight, "icm": wide}) == {"cudc", "icm"}
+
+
 def test_a_wide_spread_of_one_method_hides_no_difference_between_others(make_record):
     wild = [0.0, 900.0, 100.0, 800.0, 200.0]
     assert marked(make_record, {"cudc": TOP, "icm": wild, "random": FAR}) == {"cudc", "icm"}

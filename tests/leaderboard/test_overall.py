@@ -21,12 +21,12 @@ from matplotlib.transforms import Bbox
 from rich.console import Console
 
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.leaderboard import overall as module
 from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.figures import _STYLE
 from cudc_bench.leaderboard.overall import ALL, THRESHOLDS, Overall, build_overall
 from cudc_bench.leaderboard.overall_figures import draw_intervals, draw_profiles, draw_ranks, overall_figure_files
 from cudc_bench.leaderboard.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
+from cudc_bench.leaderboard.statistics import Interval
 from cudc_bench.leaderboard.table import METHOD_ORDER, build_tables
 from cudc_bench.records import Record
 
@@ -205,8 +205,12 @@ def test_improvements_need_both_the_interval_and_the_corrected_p(runs: Callable,
     assert near.probability == pytest.approx(1 - headline.pair("icm", "cudc").probability)
     assert near.holm == headline.pair("icm", "cudc").p == near.p
     assert headline.pair("cudc", "random").holm == pytest.approx(2 * headline.pair("cudc", "random").p)
-    monkeypatch.setattr(module.statistics, "improvement_p", lambda *_: 0.03)
-    assert not any(pair.better for pair in only(records).headline.pairs if {pair.method, pair.other} == {"cudc", "random"})
+    with monkeypatch.context() as patch:
+        patch.setattr(statistics, "improvement_p", lambda *_: 0.03)
+        assert not any(pair.better for pair in only(records).headline.pairs)
+    with monkeypatch.context() as patch:
+        patch.setattr(statistics, "improvement_interval", lambda *_: Interval(0.49, 0.9))
+        assert not any(pair.better for pair in only(records).headline.pairs)
 
 
 def test_other_methods_change_nothing_of_a_methods_interval(runs: Callable) -> None:
