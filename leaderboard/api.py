@@ -12,7 +12,21 @@ from cudc_bench.files import check_folder, check_path
 from .figures import curve_files
 from .files import only, write_files
 from .load import Loaded, load_records
-from .render import to_csv, to_latex, to_markdown
+from .overall import Overall, build_overall
+from .overall_figures import overall_figure_files
+from .published import beside_paper
+from .render import (
+    overall_to_csv,
+    overall_to_latex,
+    overall_to_markdown,
+    paper_to_csv,
+    paper_to_latex,
+    paper_to_markdown,
+    scores_to_csv,
+    to_csv,
+    to_latex,
+    to_markdown,
+)
 from .table import Table, build_tables
 
 
@@ -22,11 +36,13 @@ class Report:
 
     Attributes:
         tables: one for each domain, algorithm and group, in that order.
+        overall: for each group and algorithm its methods over all tasks, with intervals.
         problems: one line for each thing that was left out or is doubtful.
         files: what was written; empty without an output folder.
     """
 
     tables: list[Table]
+    overall: list[Overall]
     problems: list[str]
     files: list[Path]
 
@@ -40,8 +56,10 @@ def make_leaderboard(
 ) -> Report:
     """Make tables and learning curves from run records.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``; each file is
-    replaced whole. The same records give the same bytes.
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, and
+    ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
+    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
+    ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. Each file is replaced whole. The same records give the same bytes.
 
     Args:
         results: a record or a folder of records, or several.
@@ -60,8 +78,12 @@ def make_leaderboard(
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     tables, problems = build_tables(records)
-    files = [] if folder is None else [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
-    return Report(tables, [*loaded.problems, *problems], files)
+    overall = build_overall(tables)
+    files = []
+    if folder is not None:
+        files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
+        files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
+    return Report(tables, overall, [*loaded.problems, *problems], files)
 
 
 def _load(paths: Sequence[Path]) -> Loaded:
@@ -79,4 +101,23 @@ def _load(paths: Sequence[Path]) -> Loaded:
 
 
 def _contents(table: Table) -> dict[str, str | bytes]:
-    return {"table.md": to_markdown(table), "table.tex": to_latex(table), "table.csv": to_csv(table), **curve_files(table)}
+    files: dict[str, str | bytes] = {
+        "table.md": to_markdown(table),
+        "table.tex": to_latex(table),
+        "table.csv": to_csv(table),
+        **curve_files(table),
+    }
+    paper = beside_paper(table)
+    if paper is not None:
+        files |= {"paper.md": paper_to_markdown(paper), "paper.tex": paper_to_latex(paper), "paper.csv": paper_to_csv(paper)}
+    return files
+
+
+def _overall_contents(overall: Overall) -> dict[str, str | bytes]:
+    return {
+        "overall.md": overall_to_markdown(overall),
+        "overall.tex": overall_to_latex(overall),
+        "overall.csv": overall_to_csv(overall),
+        "scores.csv": scores_to_csv(overall),
+        **overall_figure_files(overall),
+    }

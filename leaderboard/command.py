@@ -23,12 +23,15 @@ def leaderboard(
     from cudc_bench.progress import say
 
     from . import api
-    from .render import to_rich
+    from .render import overall_to_rich, to_rich
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo)
     screen = Console(highlight=False)
     for table in report.tables:
         screen.print(to_rich(table))
+        screen.print()
+    for overall in report.overall:
+        screen.print(overall_to_rich(overall))
         screen.print()
     for problem in report.problems:
         say(f"problem: {problem}")

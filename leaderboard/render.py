@@ -7,12 +7,15 @@ import io
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cudc_bench.markup import escape_markdown, plain, templates
 
 from .diagnostics import Comparison
 from .load import short
+from .overall import PAIRS_CAPTION, PRELIMINARY, Estimate, Overall, Pair
+from .published import PaperTable
+from .statistics import Interval
 from .table import Cell, Table
 
 if TYPE_CHECKING:
@@ -26,12 +29,12 @@ _TEX = {
 
 def to_markdown(table: Table) -> str:
     """A heading, one GitHub-flavoured table for each milestone, the caption, and the commands that make the records again."""
-    return _render("table.md.j2", table, escape_markdown)
+    return _render("table.md.j2", escape_markdown, table=table)
 
 
 def to_latex(table: Table) -> str:
     """A ``table`` environment with the caption; its document needs ``\\usepackage{booktabs}``."""
-    return _render("table.tex.j2", table, escape_latex)
+    return _render("table.tex.j2", escape_latex, table=table)
 
 
 def to_csv(table: Table) -> str:
@@ -75,6 +78,113 @@ def to_rich(table: Table) -> Group:
     return Group(title, shown, Text(table.caption, style="dim"))
 
 
+def paper_to_markdown(paper: PaperTable) -> str:
+    """Our cells beside the paper's, a table for each milestone."""
+    return _render("paper.md.j2", escape_markdown, paper=paper)
+
+
+def paper_to_latex(paper: PaperTable) -> str:
+    """The same as one table for ``booktabs``."""
+    return _render("paper.tex.j2", escape_latex, paper=paper)
+
+
+def paper_to_csv(paper: PaperTable) -> str:
+    """One line for each cell that the paper has, too, in full precision."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "paper_mean", "paper_std",
+                     "difference_in_paper_std", "relative_to_cudc", "paper_relative_to_cudc"])  # fmt: skip
+    table = paper.table
+    for row in (*paper.rows, *paper.relative):
+        ours = [row.ours.mean, row.ours.std, row.ours.n] if row.ours else [None] * 3
+        theirs = [*(row.paper or (None, None)), row.difference, row.relative, row.paper_relative]
+        writer.writerow([table.group, table.algorithm, table.domain, row.milestone, row.task, row.method, *ours, *theirs])
+    return text.getvalue()
+
+
+AGGREGATES = {"iqm": "IQM", "median": "median", "mean": "mean", "optimality_gap": "optimality gap"}
+
+
+def overall_to_markdown(overall: Overall) -> str:
+    """For each comparison its aggregates, the probabilities of improvement and what was left out."""
+    return _render("overall.md.j2", escape_markdown, overall=overall, names=AGGREGATES, pairs_caption=PAIRS_CAPTION,
+                   estimate=_estimate, chance=_chance)  # fmt: skip
+
+
+def overall_to_latex(overall: Overall) -> str:
+    """A table of all comparisons' aggregates and one of the headline's probabilities of improvement, for ``booktabs``."""
+    return _render("overall.tex.j2", escape_latex, overall=overall, names=AGGREGATES, pairs_caption=PAIRS_CAPTION,
+                   estimate=_estimate, chance=lambda pair: f"{pair.probability:.2f}")  # fmt: skip
+
+
+def overall_to_csv(overall: Overall) -> str:
+    """One line for each number in full precision, with its intervals where it has them.
+
+    ``statistic`` is one of the aggregates, ``probability_of_improvement`` (over ``other``), or ``rank_<i>`` (its probability).
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "scope", "milestone", "tasks", "method", "seeds", "statistic", "other", "value", "low", "high",
+                     "stratified_low", "stratified_high", "p", "p_holm", "improvement"])  # fmt: skip
+    for comparison in overall.comparisons:
+        head = [overall.group, overall.algorithm, comparison.scope, comparison.milestone, len(comparison.tasks)]
+        for standing in comparison.standings:
+            who = [*head, standing.method, standing.n]
+            for name, found in standing.estimates.items():
+                writer.writerow([*who, name, None, found.value, *_ends(found.cluster), *_ends(found.stratified), None, None, None])
+            for rank, share in enumerate(standing.ranks or (), 1):
+                writer.writerow([*who, f"rank_{rank}", None, share, *[None] * 7])
+            for pair in comparison.pairs:
+                if pair.method == standing.method:
+                    tested = [pair.p, pair.holm, None if pair.p is None else pair.better]
+                    name = "probability_of_improvement"
+                    writer.writerow([*who, name, pair.other, pair.probability, *_ends(pair.interval), None, None, *tested])
+    return text.getvalue()
+
+
+def scores_to_csv(overall: Overall) -> str:
+    """One line for each run that entered a comparison: its return, and that divided by the task's largest."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "scope", "milestone", "domain", "task", "method", "seed", "return", "score"])
+    for comparison in overall.comparisons:
+        head = [overall.group, overall.algorithm, comparison.scope, comparison.milestone]
+        for standing in comparison.standings:
+            for index, (domain, task) in enumerate(comparison.tasks):
+                for seed, found, score in zip(standing.seeds[domain], standing.returns[:, index], standing.scores[:, index], strict=True):
+                    writer.writerow([*head, domain, task, standing.method, seed, float(found), float(score)])
+    return text.getvalue()
+
+
+def overall_to_rich(overall: Overall) -> Group:
+    """For a terminal: the headline comparison, the IQM with its interval first."""
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    comparison = overall.headline
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown.add_column("")
+    for name in ("IQM", "95 % interval", "median", "mean", "gap", "P(rank 1)", "seeds"):
+        shown.add_column(name, justify="right")
+    for standing in comparison.standings:
+        headline = standing.estimates["iqm"]
+        rest = [f"{standing.estimates[name].value:.3f}" for name in ("median", "mean", "optimality_gap")]
+        first = "–" if standing.ranks is None else f"{standing.ranks[0]:.2f}"
+        row = (standing.method, f"{headline.value:.3f}", _bracketed(headline.cluster) or "–", *rest, first, str(standing.n))
+        shown.add_row(*map(Text, row))
+    wins = [f"{pair.method} over {pair.other} ({_chance(pair)})" for pair in comparison.pairs if pair.better]
+    lines = [
+        "Returns divided by each task's largest; IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
+        f"Improvements (interval above 0.5, Holm's p < 0.05): {len(wins)}{f', such as {wins[-1]}' if wins else ''}.",
+        *([PRELIMINARY] if comparison.preliminary else []),
+        *(f"Left out: {line}" for line in comparison.left_out),
+    ]
+    title = Text(f"Overall: {overall.algorithm}, profile {overall.group}: {comparison.title}", style="bold")
+    return Group(title, shown, Text("\n".join(lines), style="dim"))
+
+
 def diagnostics_to_rich(comparison: Comparison) -> Group:
     """For a terminal: a line for each dataset, with k at the end, when it grew, whether that is suspect, and the last coverage."""
     from rich import box
@@ -113,6 +223,27 @@ def _text(cell: Cell | None) -> str:
     return f"{round(cell.mean)}{spread} ({cell.n})"
 
 
-def _render(template: str, table: Table, escape: Callable[[str], str]) -> str:
+def _estimate(estimate: Estimate) -> str:
+    stratified = f" {{{_ends_text(estimate.stratified)}}}" if estimate.stratified else ""
+    return " ".join(filter(None, (f"{estimate.value:.3f}", _bracketed(estimate.cluster)))) + stratified
+
+
+def _chance(pair: Pair) -> str:
+    return f"{pair.probability:.2f}" + (f" [{pair.interval.low:.2f}, {pair.interval.high:.2f}]" if pair.interval else "")
+
+
+def _bracketed(interval: Interval | None) -> str:
+    return f"[{_ends_text(interval)}]" if interval else ""
+
+
+def _ends_text(interval: Interval) -> str:
+    return f"{interval.low:.3f}, {interval.high:.3f}"
+
+
+def _ends(interval: Interval | None) -> tuple[float | None, float | None]:
+    return (interval.low, interval.high) if interval else (None, None)
+
+
+def _render(template: str, escape: Callable[[str], str], **values: Any) -> str:
     environment = templates(Path(__file__).with_name("templates"), escape)
-    return environment.get_template(template).render(table=table, round=round, short=short)
+    return environment.get_template(template).render(round=round, short=short, **values)

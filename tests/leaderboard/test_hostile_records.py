@@ -18,7 +18,22 @@ from rich.console import Console
 
 from cudc_bench.cli import main
 from cudc_bench.leaderboard.load import load_records
-from cudc_bench.leaderboard.render import to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.overall import build_overall
+from cudc_bench.leaderboard.published import beside_paper
+from cudc_bench.leaderboard.render import (
+    overall_to_csv,
+    overall_to_latex,
+    overall_to_markdown,
+    overall_to_rich,
+    paper_to_csv,
+    paper_to_latex,
+    paper_to_markdown,
+    scores_to_csv,
+    to_csv,
+    to_latex,
+    to_markdown,
+    to_rich,
+)
 from cudc_bench.leaderboard.table import build_tables
 from cudc_bench.markup import visible
 from cudc_bench.provenance import is_own_command
@@ -56,7 +71,26 @@ def is_plain(text: str) -> bool:
 
 def check_outputs(records: list[Any]) -> None:
     """Everything but figures, which take long."""
-    for table in build_tables(records)[0]:
+    tables, _ = build_tables(records)
+    for overall in build_overall(tables):
+        for text in (overall_to_csv(overall), scores_to_csv(overall)):
+            rows = list(csv.reader(io.StringIO(text)))
+            assert len({len(row) for row in rows}) == 1
+            assert not any(cell[:1] in "=+@\t\r" or cell[:1] == "-" for row in rows for cell in row[:8] if cell)
+        for text in (overall_to_csv(overall), scores_to_csv(overall), overall_to_markdown(overall), overall_to_latex(overall)):
+            assert is_plain(text)
+            text.encode()
+        assert "<script" not in overall_to_markdown(overall).replace("\\<script", "")
+        assert "\\input" not in overall_to_latex(overall)
+        screen = Console(file=io.StringIO(), width=200, force_terminal=False)
+        screen.print(overall_to_rich(overall))
+        assert is_plain(screen.file.getvalue())  # type: ignore[attr-defined]
+        assert Path(overall.slug).name == overall.slug
+    for table in tables:
+        paper = beside_paper(table)
+        for text in (paper_to_markdown(paper), paper_to_latex(paper), paper_to_csv(paper)) if paper else ():
+            assert is_plain(text)
+            text.encode()
         rows = list(csv.reader(io.StringIO(to_csv(table))))
         assert len({len(row) for row in rows}) == 1
         # What a spreadsheet would take for a formula; numbers may be negative.

@@ -12,13 +12,18 @@ from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 
 FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf"}
+OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
+RANKS = {"ranks.svg", "ranks.pdf"}
 
 
-def test_writes_five_files_for_each_table(make_record, save, tmp_path):
+def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path):
     results = save(make_record(), make_record(profile="paper"))
     report = make_leaderboard(results, tmp_path / "out")
     assert [table.slug for table in report.tables] == ["cpu.td3.walker", "paper.td3.walker"]
-    assert set(report.files) == {tmp_path / "out" / table.slug / name for table in report.tables for name in FILES}
+    assert [overall.slug for overall in report.overall] == ["cpu.td3", "paper.td3"]
+    expected = {(table.slug, name) for table in report.tables for name in FILES}
+    expected |= {(overall.slug, name) for overall in report.overall for name in OVERALL}
+    assert {(file.parent.name, file.name) for file in report.files} == expected
     assert sorted(p for p in (tmp_path / "out").rglob("*") if p.is_file()) == sorted(report.files)
     assert report.problems == []
 
@@ -26,7 +31,7 @@ def test_writes_five_files_for_each_table(make_record, save, tmp_path):
 def test_two_builds_give_identical_bytes(make_record, save, tmp_path):
     results = save(*(make_record(method=m, seed=s) for m in ("cudc", "icm") for s in (1, 2)))
     built = [make_leaderboard(results, tmp_path / name).files for name in ("a", "b")]
-    assert len(built[0]) == 5
+    assert {file.name for file in built[0]} == FILES | OVERALL | RANKS
     for first, second in zip(*built, strict=True):
         assert first.read_bytes() == second.read_bytes()
 
@@ -118,7 +123,7 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
     assert "broken.json" not in done.stdout
     assert "broken.json is not a run record" in done.stderr.replace("\n", "")
     printed = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
-    assert len(printed) == 10
+    assert len(printed) == 2 * len(FILES | OVERALL)
     assert set(printed) == {str(p) for p in (tmp_path / "out").rglob("*") if p.is_file()}
 
 
@@ -147,8 +152,9 @@ def test_needs_neither_torch_nor_a_simulator(make_record, save, tmp_path):
     loaded = modules_after(
         "from cudc_bench.leaderboard.api import make_leaderboard\n"
         "from cudc_bench.leaderboard.load import load_records, to_frame\n"
-        "from cudc_bench.leaderboard.render import to_rich\n"
-        f"report = make_leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)"
+        "from cudc_bench.leaderboard.render import overall_to_rich, to_rich\n"
+        f"report = make_leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)\n"
+        "overall_to_rich(report.overall[0])"
     )
     assert {"matplotlib", "jinja2", "pandas"} <= loaded
     assert not loaded & {"torch", "dm_control", "mujoco", "minari"}

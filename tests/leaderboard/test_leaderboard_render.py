@@ -92,6 +92,23 @@ def test_terminal_bold_is_the_best(table):
     assert cells["42 (1)"] == ""
 
 
+def test_every_rendering_marks_all_that_are_not_significantly_worse(make_record):
+    finals = {"random": (100.0, 110.0, 120.0), "icm": (480.0, 500.0, 545.0), "cudc": (490.0, 510.0, 530.0)}
+    records = [
+        make_record(method=method, seed=seed, final=[score]) for method, scores in finals.items() for seed, score in enumerate(scores)
+    ]
+    (table,), _ = build_tables(records)
+    walk = markdown_tables(to_markdown(table))[-1][2]
+    assert walk == ["walk", "110 ± 10 (3)", "<508 ± 33> (3)", "<510 ± 20> (3)"]
+    assert r"walk & 110 $\pm$ 10 (3) & \textbf{508 $\pm$ 33} (3) & \textbf{510 $\pm$ 20} (3) \\" in to_latex(table)
+    frame = pd.read_csv(io.StringIO(to_csv(table)))
+    last = frame[(frame.milestone == 20_000) & (frame.task == "walk")]
+    assert dict(zip(last.method, last.best, strict=True)) == {"random": False, "icm": True, "cudc": True}
+    _, grid, _ = to_rich(table).renderables
+    styles = {str(text): text.style for column in grid.columns[1:] for text in column.cells if text}
+    assert [styles[text] for text in ("110±10 (3)", "508±33 (3)", "510±20 (3)")] == ["", "bold", "bold"]
+
+
 def test_many_methods_are_the_terminals_rows(make_record):
     methods = [f"method_{letter}" for letter in "abcdefg"]
     records = [make_record(method=method, task=task) for method in methods for task in ("walk", "run")]

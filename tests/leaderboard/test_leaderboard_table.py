@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from cudc_bench.leaderboard.figures import draw_curves
 from cudc_bench.leaderboard.load import to_frame
@@ -81,6 +82,51 @@ def test_best_is_by_rounded_mean_and_ties_share_it(make_record):
     assert [c.best for c in table.sections[1].rows[1].cells] == [False, True, True]
 
 
+def marked(make_record, scores):
+    """The methods that are best on one task, from each one's score for each seed."""
+    records = [make_record(method=m, seed=i, final=[score]) for m, of_seeds in scores.items() for i, score in enumerate(of_seeds, 1)]
+    table, _ = only(records)
+    row = next(row for row in table.sections[-1].rows if row.task == "walk")
+    return {method for method, found in zip(table.methods, row.cells, strict=True) if found.best}
+
+
+FAR, NEAR, TOP = [100.0, 130.0, 90.0, 120.0, 110.0], [480.0, 560.0, 500.0, 530.0, 430.0], [500.0, 540.0, 520.0, 560.0, 480.0]
+
+
+def test_best_are_all_that_are_not_significantly_worse(make_record):
+    assert stats.ttest_ind(TOP, NEAR, equal_var=False).pvalue > 0.05 > stats.ttest_ind(TOP, FAR, equal_var=False).pvalue
+    assert marked(make_record, {"cudc": TOP, "icm": NEAR, "random": FAR}) == {"cudc", "icm"}
+
+
+def test_significance_is_corrected_for_the_methods_of_the_row(make_record):
+    near = [score - 55.0 for score in TOP]
+    p = stats.ttest_ind(TOP, near, equal_var=False).pvalue
+    assert 0.05 / 6 < p < 0.05
+    assert marked(make_record, {"cudc": TOP, "icm": near}) == {"cudc"}
+    others = {f"other{i}": [score - 54.0 + i for score in TOP] for i in range(5)}
+    assert marked(make_record, {"cudc": TOP, "icm": near} | others) == {"cudc", "icm", *others}
+
+
+def test_methods_may_spread_differently(make_record):
+    tight, wide = [499.0, 500.0, 500.0, 500.0, 501.0], [383.0, 414.0, 446.0, 478.0, 509.0]
+    assert stats.ttest_ind(tight, wide).pvalue < 0.05 < stats.ttest_ind(tight, wide, equal_var=False).pvalue
+    assert marked(make_record, {"cudc": tight, "icm": wide}) == {"cudc", "icm"}
+
+
+def test_a_wide_spread_of_one_method_hides_no_difference_between_others(make_record):
+    wild = [0.0, 900.0, 100.0, 800.0, 200.0]
+    assert marked(make_record, {"cudc": TOP, "icm": wild, "random": FAR}) == {"cudc", "icm"}
+
+
+def test_a_single_seed_is_not_tested(make_record):
+    assert marked(make_record, {"cudc": TOP, "icm": [519.0], "random": FAR}) == {"cudc"}
+    assert marked(make_record, {"cudc": [521.0], "icm": TOP, "random": FAR}) == {"cudc"}
+
+
+def test_scores_without_any_spread_are_told_apart(make_record):
+    assert marked(make_record, {"cudc": [500.0] * 5, "icm": [500.0] * 5, "random": [498.0] * 5}) == {"cudc", "icm"}
+
+
 def test_a_cell_alone_in_its_row_is_not_best(make_record):
     table, _ = only([make_record(), make_record(method="icm", task="run")])
     assert not any(c.best for c in table.cells)
@@ -138,7 +184,7 @@ def test_different_hyperparameters_in_one_group_are_reported_by_name(make_record
 def test_caption_says_what_the_numbers_are(make_record):
     caption = only([make_record(seed=1), make_record(seed=2), make_record(method="icm")])[0].caption
     for part in ("sample standard deviation", "10K and 20K gradient steps", "td3", "walker", "Profile: cpu.", "1 to 2 seeds.",
-                 "2 at 10K, 3 at 20K", "Preliminary: fewer than five seeds."):  # fmt: skip
+                 "2 at 10K, 3 at 20K", "not significantly worse (two-sided Welch test", "Preliminary: fewer than five seeds."):  # fmt: skip
         assert part in caption
 
 
