@@ -233,7 +233,7 @@ ATTACKS = [
     ),
     attack(
         "CUDC_BENCH_THRESHOLDS=BAD collect --method cudc-vary-icm --seed 7",
-        bad_roots.filter(lambda path: path not in {"file", "/dev/null"}),
+        bad_roots.filter(lambda path: path not in {"file", "./file/", "/dev/null"}),
         "thresholds",
     ),
     attack("pilot --method BAD", spoiled_names([*methods, "all"]), "method"),
@@ -245,7 +245,7 @@ ATTACKS = [
     attack("pilot --set BAD", bad_settings, ""),
     attack(
         "CUDC_BENCH_THRESHOLDS=BAD pilot --method cudc-vary-icm",
-        bad_roots.filter(lambda path: path not in {"file", "/dev/null"}),
+        bad_roots.filter(lambda path: path not in {"file", "./file/", "/dev/null"}),
         "thresholds",
     ),
     attack("import-exorl BAD --method proto", bad_paths | st.sampled_from(["nowhere", "folder", "."]), "'"),
