@@ -1,1 +1,1 @@
-"""Stage 4: run records in; tables and learning curves out. It needs neither torch nor a simulator."""
+"""Stage 4: run records in; tables, statistics and figures out. It needs neither torch nor a simulator."""
