@@ -12,6 +12,7 @@ from cudc_bench.files import check_folder, check_path
 from .figures import curve_files
 from .files import only, write_files
 from .load import Loaded, load_records
+from .missing import Missing, find_missing
 from .overall import Overall, build_overall
 from .overall_figures import overall_figure_files
 from .published import beside_paper
@@ -38,12 +39,14 @@ class Report:
         tables: one for each domain, algorithm and group, in that order.
         overall: for each group and algorithm its methods over all tasks, with intervals.
         problems: one line for each thing that was left out or is doubtful.
+        missing: runs that would make the comparisons complete.
         files: what was written; empty without an output folder.
     """
 
     tables: list[Table]
     overall: list[Overall]
     problems: list[str]
+    missing: list[Missing]
     files: list[Path]
 
 
@@ -83,7 +86,7 @@ def make_leaderboard(
     if folder is not None:
         files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
         files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
-    return Report(tables, overall, [*loaded.problems, *problems], files)
+    return Report(tables, overall, [*loaded.problems, *problems], find_missing(tables), files)
 
 
 def _load(paths: Sequence[Path]) -> Loaded:

@@ -35,6 +35,8 @@ def leaderboard(
         screen.print()
     for problem in report.problems:
         say(f"problem: {problem}")
+    for missing in report.missing:
+        say(f"missing: {missing}")
     for file in report.files:
         typer.echo(file)
 
