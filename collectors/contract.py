@@ -208,18 +208,11 @@ class CollectorContract:
         first = pair[0].episodes[0][2] == pair[1].episodes[0][2]
         assert not first.all()
 
-    def test_a_run_is_repeated_exactly(self, name: str) -> None:
-        first, second = _run(make(name))[0], _run(make(name))[0]
-        assert first.rows == second.rows
-        for a, b in zip(first.episodes, second.episodes, strict=True):
-            assert a[0] == b[0]
-            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
-
     def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(self, name: str, tmp_path: Path) -> None:
-        """Stopped twice: within an episode, and at the end of one."""
-        config = CollectConfig(steps=2300, seed_steps=1000, update_every=25, measure_every=5)
+        """Nor does anything but its seed decide how a run ends."""
+        config = CollectConfig(steps=1500, seed_steps=1000, update_every=25, measure_every=5)
 
-        def run(folder: Path, stop: int = 10_000) -> tuple[str, bytes, list[bytes]]:
+        def run(folder: Path, stop: int = 10_000) -> tuple[str, str, str]:
             collector, told = make(name, (3,)), [0]
 
             def advance(steps: int) -> None:
@@ -235,11 +228,11 @@ class CollectorContract:
                 )
             journal.close()
             episodes = [array.tobytes() for episode in journal.episodes() for array in episode.fields().values()]
-            return digest(collector.state_dict()), (folder / DIAGNOSTICS).read_bytes(), episodes
+            # Digests: pytest would take minutes to say in what megabytes of bytes differ.
+            return digest(collector.state_dict()), digest(str((folder / DIAGNOSTICS).read_bytes())), digest([str(one) for one in episodes])
 
-        for stop in (1500, 2000):
-            with pytest.raises(interrupts.Interrupted, match=f"at step {'1,600' if stop == 1500 else '2,000'} of 2,300"):
-                run(tmp_path / "stopped", stop)
+        with pytest.raises(interrupts.Interrupted, match=r"at step 1,200 of 1,500"):
+            run(tmp_path / "stopped", 1200)
         assert run(tmp_path / "stopped") == run(tmp_path / "whole")
 
     def test_ten_thousand_steps_make_ten_valid_episodes_without_any_reward(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench import interrupts, plugins
+from cudc_bench import plugins
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.networks import MemberRandom
@@ -219,29 +219,3 @@ class EvaluatorContract:
         again = Checkpoints(tmp_path, {"name": name}, every=0.0)
         assert again.load(lambda step, state: None) == stop
         assert run(again, make(name, (3, 4))) == whole
-
-    @pytest.mark.parametrize("acts", [1500, 2500, 3500])
-    def test_an_evaluation_that_was_interrupted_is_made_again(self, name: str, acts: int, tmp_path: Path) -> None:
-        """Interrupted in the second evaluation, in the one after the last update, and in the final one."""
-        config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 20))
-
-        def run(folder: Path, agent: Any) -> list[Outcome]:
-            arena = Arena(DOMAINS["walker"], ["stand", "walk"])
-            with interrupts.leave_well():
-                data = random_walker_data(1, "stand", (3, 4))
-                return run_evaluation(agent, data, config, arena, lambda n: None, (), Checkpoints(folder, {"name": name}))
-
-        agent = make(name, (3, 4))
-        act, count = agent.act, [0]
-
-        def asking(observation: torch.Tensor) -> torch.Tensor:
-            count[0] += 1
-            if count[0] == acts:
-                interrupts.ask()
-            actions: torch.Tensor = act(observation)
-            return actions
-
-        agent.act = asking
-        with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts == 1500 else 20} of 20"):
-            run(tmp_path / "stopped", agent)
-        assert run(tmp_path / "stopped", make(name, (3, 4))) == run(tmp_path / "whole", make(name, (3, 4)))

@@ -25,7 +25,7 @@ from cudc_bench.profiles import PROFILES
 
 from .evaluators.runs import write_run
 
-EXAMPLES, LEAST = 28, 25  # drawn for each attack, and how many of them must differ
+EXAMPLES, LEAST = 22, 19  # drawn for each attack, and how many of them must differ
 LONGEST_ANSWER = 3_000  # characters
 
 # ----------------------------------------------------------------------------------------------------------------------- strategies

@@ -10,14 +10,18 @@ import pytest
 import torch
 
 import cudc_bench
-from cudc_bench import plugins
+from cudc_bench import interrupts, plugins
+from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.api import load_members
-from cudc_bench.evaluators.loop import Arena
+from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
 from cudc_bench.evaluators.policies import load_policy, policy_path
+from cudc_bench.options import parse_sizes
 from cudc_bench.records import Record, read_record
 from cudc_bench.seeding import episode_seed
+
+from .helpers import make, random_walker_data
 
 WALK = "walker/walk/cudc-v0"
 
@@ -136,6 +140,32 @@ def test_every_algorithm_on_every_task(datasets, tmp_path, domain):
 # Resuming
 
 
+@pytest.mark.parametrize("acts", [1500, 2500, 3500])
+def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path):
+    """Interrupted in the second evaluation, in the one after the last update, and in the final one."""
+    config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 20))
+
+    def run(folder, agent):
+        arena = Arena(DOMAINS["walker"], ["stand", "walk"])
+        with interrupts.leave_well():
+            data = random_walker_data(1, "stand", (3, 4))
+            return run_evaluation(agent, data, config, arena, lambda n: None, (), Checkpoints(folder, {}))
+
+    agent = make("td3", (3, 4))
+    act, count = agent.act, [0]
+
+    def asking(observation):
+        count[0] += 1
+        if count[0] == acts:
+            interrupts.ask()
+        return act(observation)
+
+    agent.act = asking
+    with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts == 1500 else 20} of 20"):
+        run(tmp_path / "stopped", agent)
+    assert run(tmp_path / "stopped", make("td3", (3, 4))) == run(tmp_path / "whole", make("td3", (3, 4)))
+
+
 def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatch):
     from cudc_bench.evaluators import api
 
@@ -179,7 +209,6 @@ def test_a_saved_policy_gives_the_recorded_returns(smoke, tmp_path, algo):
 
 def test_policies_are_for_the_member_that_they_belong_to(smoke, tmp_path):
     from cudc_bench.evaluators.policies import save_policy
-    from tests.evaluators.helpers import make
 
     ((path, _),) = evaluated(tmp_path, algo="td3")
     agent = make("td3", (5, 1))
@@ -206,7 +235,5 @@ def test_the_command_line_takes_all_of_it(cli, smoke, tmp_path):
     assert not list(tmp_path.rglob("*.pt"))
     assert os.path.basename(paths[0]) == "bc-first1000-seed1.json"
     for text in ("0", "1e3", "abc", "-5", "1,,x", "_1"):
-        done = cli("evaluate", "--dataset-id", WALK, "--dataset-size", text)
-        assert done.code == 2
-        assert done.err.count("\n") == 1
-        assert "--dataset-size cannot be" in done.err
+        with pytest.raises(UsageError, match="--dataset-size cannot be"):
+            parse_sizes(text)
