@@ -1,13 +1,18 @@
-"""``cudc-bench leaderboard`` and ``cudc-bench diagnostics``."""
+"""``cudc-bench leaderboard``, ``cudc-bench diagnostics`` and ``cudc-bench stats``."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cudc_bench.errors import UsageError
 from cudc_bench.options import parse_names
+
+if TYPE_CHECKING:
+    from rich.console import Group
 
 
 def leaderboard(
@@ -48,25 +53,11 @@ def diagnostics(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Draw how k and the losses of collectors went."""
-    from rich.console import Console
-
-    from cudc_bench.progress import say
-
     from .diagnostics import draw_diagnostics
     from .render import diagnostics_to_rich
 
-    methods = None if method is None else parse_names(method)
-    if methods == ():
-        raise UsageError("--method is empty; leave it out for all.")
-    report = draw_diagnostics(dataset_ids or None, output, domain, methods)
-    screen = Console(highlight=False)
-    for comparison in report.comparisons:
-        screen.print(diagnostics_to_rich(comparison))
-        screen.print()
-    for remark in report.remarks:
-        say(f"note: {remark}")
-    for file in report.files:
-        typer.echo(file)
+    report = draw_diagnostics(dataset_ids or None, output, domain, _methods(method))
+    _show(map(diagnostics_to_rich, report.comparisons), report.remarks, report.files)
 
 
 def stats(
@@ -76,22 +67,30 @@ def stats(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
+    from .quality import measure_quality
+    from .quality_files import to_rich
+
+    report = measure_quality(dataset_ids or None, output, domain, _methods(method))
+    _show(map(to_rich, report.tables), report.remarks, report.files)
+
+
+def _methods(text: str | None) -> tuple[str, ...] | None:
+    names = None if text is None else parse_names(text)
+    if names == ():
+        raise UsageError("--method is empty; leave it out for all.")
+    return names
+
+
+def _show(parts: Iterable[Group], remarks: Iterable[str], files: Iterable[Path]) -> None:
     from rich.console import Console
 
     from cudc_bench.progress import say
 
-    from .quality import measure_quality
-    from .quality_files import to_rich
-
-    methods = None if method is None else parse_names(method)
-    if methods == ():
-        raise UsageError("--method is empty; leave it out for all.")
-    report = measure_quality(dataset_ids or None, output, domain, methods)
     screen = Console(highlight=False)
-    for table in report.tables:
-        screen.print(to_rich(table))
+    for part in parts:
+        screen.print(part)
         screen.print()
-    for remark in report.remarks:
+    for remark in remarks:
         say(f"note: {remark}")
-    for file in report.files:
+    for file in files:
         typer.echo(file)

@@ -16,13 +16,14 @@ from typing import Any
 
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_regular
-from cudc_bench.ids import dataset_path, datasets_root, parse_id
-from cudc_bench.manifest import Manifest, read_manifest, stored_ids
+from cudc_bench.ids import dataset_path
+from cudc_bench.manifest import Manifest
 from cudc_bench.markup import plain
 from cudc_bench.options import check_folder
 from cudc_bench.records import settings_text
 
-from .files import only, write_files
+from .chosen import choose
+from .files import write_files
 from .table import METHOD_ORDER, differing, ordered, slug, span
 
 FILE = "diagnostics.jsonl"
@@ -132,12 +133,7 @@ def draw_diagnostics(
     from .diagnostic_figures import diagnostic_files
 
     folder = None if output is None else check_folder(output, "output")
-    named = [dataset_ids] if isinstance(dataset_ids, str) else dataset_ids
-    found, remarks = _stored() if named is None else (_named(named), [])
-    found = list(only(found, "dataset", "domain", domain, lambda one: one[1].domain))
-    if methods is not None:
-        chosen = [pair for method in methods for pair in only(found, "dataset", "method", method, lambda one: one[1].method)]
-        found = list(dict(chosen).items())
+    found, remarks = choose(dataset_ids, domain, methods, others=_is_other, refuse=_refuse, lacks=_lacks, verb="has diagnostics")
     runs = [Run(one, manifest, *read_diagnostics(one)) for one, manifest in found]
     comparisons, doubts = compare(runs)
     files = []
@@ -225,42 +221,20 @@ def series(runs: Sequence[Run], name: str) -> tuple[list[int], list[float], list
     return steps, [fmean(row) for row in values], [stdev(row) for row in values] if len(runs) > 1 else None
 
 
-def _named(dataset_ids: Sequence[str]) -> list[tuple[str, Manifest]]:
-    found = []
-    for one in dict.fromkeys(dataset_ids):
-        manifest = read_manifest(parse_id(one))
-        if manifest.imported is not None:
-            raise UsageError(f"'{one}' has no diagnostics: it was imported from {manifest.imported.source}, not collected here.")
-        if manifest.task is not None:
-            base = "its base" if manifest.base is None else f"its base '{plain(manifest.base.id)}'"
-            raise UsageError(f"'{one}' is labelled for {plain(manifest.task)}; the diagnostics are those of {base}.")
-        found.append((one, manifest))
-    if not found:
-        raise UsageError("no dataset was named; give an id such as walker/cudc-v0.")
-    return found
+def _is_other(manifest: Manifest) -> bool:
+    return manifest.task is not None or manifest.imported is not None
 
 
-def _stored() -> tuple[list[tuple[str, Manifest]], list[str]]:
-    """All datasets below the root that have diagnostics, and a line for each of which that cannot be told."""
-    found, remarks = [], []
-    for one in map(str, stored_ids()):
-        try:
-            manifest = read_manifest(one)
-        except UsageError:
-            continue  # somebody else's
-        except RunError as error:
-            remarks.append(plain(str(error)))
-            continue
-        if manifest.task is not None or manifest.imported is not None:
-            continue
-        if diagnostics_path(one).exists():
-            found.append((one, manifest))
-        else:
-            remarks.append(f"{one} is left out: there is no file {diagnostics_path(one)}.")
-    if not found:
-        why = f" Left out: {len(remarks)}, such as: {remarks[0]}" if remarks else ""
-        raise UsageError(f"no dataset in {datasets_root()} has diagnostics; make one with: cudc-bench collect.{why}")
-    return found, remarks
+def _refuse(one: str, manifest: Manifest) -> None:
+    if manifest.imported is not None:
+        raise UsageError(f"'{one}' has no diagnostics: it was imported from {manifest.imported.source}, not collected here.")
+    if manifest.task is not None:
+        base = "its base" if manifest.base is None else f"its base '{plain(manifest.base.id)}'"
+        raise UsageError(f"'{one}' is labelled for {plain(manifest.task)}; the diagnostics are those of {base}.")
+
+
+def _lacks(one: str, _: Manifest) -> str | None:
+    return None if diagnostics_path(one).exists() else f"there is no file {diagnostics_path(one)}"
 
 
 def group_of(manifest: Manifest) -> str:

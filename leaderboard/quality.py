@@ -19,15 +19,15 @@ from cudc_bench import plugins
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.descriptors import DescriptorCoverage, Visits
 from cudc_bench.envs import Domain, check_domain, reward_function
-from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import datasets_root, parse_id
-from cudc_bench.manifest import Manifest, read_manifest, stored_ids
+from cudc_bench.errors import UsageError
+from cudc_bench.manifest import Manifest
 from cudc_bench.markup import plain
 from cudc_bench.options import check_folder
 from cudc_bench.progress import Advance, bars
 
+from .chosen import choose
 from .diagnostics import group_of
-from .files import only, write_files
+from .files import write_files
 from .table import METHOD_ORDER, ordered, slug
 
 Float32 = NDArray[np.float32]
@@ -154,50 +154,24 @@ def measure_quality(
     from .quality_files import quality_files
 
     folder = None if output is None else check_folder(output, "output")
-    named = [dataset_ids] if isinstance(dataset_ids, str) else dataset_ids
-    found, remarks = _stored() if named is None else (_named(named), [])
-    found = list(only(found, "dataset", "domain", domain, lambda one: one[1].domain))
-    if methods is not None:
-        chosen = [pair for method in methods for pair in only(found, "dataset", "method", method, lambda one: one[1].method)]
-        found = list(dict(chosen).items())
+    found, remarks = choose(
+        dataset_ids, domain, methods, others=lambda manifest: manifest.base is not None, refuse=_refuse, lacks=_lacks,
+        verb="can be measured",
+    )  # fmt: skip
     tables = _compare(found)
     files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
     return QualityReport(tables, remarks, files)
 
 
-def _named(dataset_ids: Sequence[str]) -> list[tuple[str, Manifest]]:
-    found = []
-    for one in dict.fromkeys(dataset_ids):
-        manifest = read_manifest(parse_id(one))
-        if manifest.base is not None:
-            raise UsageError(f"'{one}' is labelled for {plain(str(manifest.task))}; name its base '{plain(manifest.base.id)}'.")
-        if "infos/physics" not in manifest.fields:
-            raise UsageError(f"'{one}' holds no physics states, from which rewards are computed; import files that have them.")
-        found.append((one, manifest))
-    if not found:
-        raise UsageError("no dataset was named; give an id such as walker/cudc-v0.")
-    return found
+def _refuse(one: str, manifest: Manifest) -> None:
+    if manifest.base is not None:
+        raise UsageError(f"'{one}' is labelled for {plain(str(manifest.task))}; name its base '{plain(manifest.base.id)}'.")
+    if _lacks(one, manifest):
+        raise UsageError(f"'{one}' holds no physics states, from which rewards are computed; import files that have them.")
 
 
-def _stored() -> tuple[list[tuple[str, Manifest]], list[str]]:
-    found, remarks = [], []
-    for one in map(str, stored_ids()):
-        try:
-            manifest = read_manifest(one)
-        except UsageError:
-            continue  # somebody else's
-        except RunError as error:
-            remarks.append(plain(str(error)))
-            continue
-        if manifest.base is not None:
-            continue
-        if "infos/physics" in manifest.fields:
-            found.append((one, manifest))
-        else:
-            remarks.append(f"{one} is left out: it holds no physics states.")
-    if not found:
-        raise UsageError(f"there is no dataset to measure in {datasets_root()}; make one with: cudc-bench collect.")
-    return found, remarks
+def _lacks(_: str, manifest: Manifest) -> str | None:
+    return None if "infos/physics" in manifest.fields else "it holds no physics states"
 
 
 def _compare(found: Iterable[tuple[str, Manifest]]) -> list[QualityTable]:

@@ -58,13 +58,10 @@ def test_datasets_with_settings_of_their_own_take_more_than_a_command(make_recor
     assert str(one).endswith("flip, seeds 1 (by the commands of its other records)")
 
 
-def test_the_report_has_them(make_record, save, capsys):
-    from typer.testing import CliRunner
-
-    from cudc_bench.cli import build_app
-
+def test_the_command_says_them(make_record, save, cli):
     results = save(make_record(), make_record(method="icm", seed=2))
-    report = make_leaderboard(results, None)
-    assert len(report.missing) == 4
-    done = CliRunner().invoke(build_app(), ["leaderboard", str(results), "--output", str(results.parent / "out")])
-    assert done.exit_code == 0
+    missing = make_leaderboard(results, None).missing
+    assert len(missing) == 4
+    done = cli("leaderboard", str(results), "--output", str(results.parent / "out"))
+    assert done.code == 0
+    assert [line for line in done.err.splitlines() if line.startswith("missing: ")] == [f"missing: {one}" for one in missing]
