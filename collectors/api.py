@@ -19,6 +19,7 @@ from cudc_bench.data.writer import write_episodes, write_metadata
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
+from cudc_bench.learner import check_precision
 from cudc_bench.manifest import Manifest, check_free, exists, fingerprint, read_manifest
 from cudc_bench.options import CHECKPOINT_EVERY, LOG_DIR, check_folder, check_seeds, format_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
@@ -90,6 +91,7 @@ def collect(
     check_folder(datasets_root(), "the dataset root")
     logs = check_log(log, log_dir)
     device = resolve_device(device)
+    check_precision(setting.kind, method, setting.loop.precision, device)
     members = list(zip(seeds, ids, strict=True))
     left = [member for member in members if member[1] not in done]
     if device == "cuda":

@@ -20,6 +20,7 @@ from cudc_bench.options import (
     LogOption,
     MethodOption,
     OverwriteOption,
+    PrecisionOption,
     ProfileOption,
     SeedsOption,
     SetOption,
@@ -27,6 +28,7 @@ from cudc_bench.options import (
     WorkersOption,
     parse_names,
     parse_seeds,
+    with_precision,
 )
 
 
@@ -36,6 +38,7 @@ def collect(
     seeds: SeedsOption = "1",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
+    precision: PrecisionOption = None,
     dataset_id: DatasetIdOption = None,
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
@@ -58,6 +61,7 @@ def collect(
         raise UsageError("--method is empty; see cudc-bench list.")
     if dataset_id is not None and len(methods) > 1:
         raise UsageError("--dataset-id names one dataset, but there are several methods; leave it out.")
+    given = with_precision(parse_settings(settings or []), precision)
     ids: list[str] = []
     # All input is checked before any work starts, the last method's before the first one's.
     for check_only in (True, False):
@@ -65,7 +69,7 @@ def collect(
             one
             for name in methods
             for one in run(
-                name, domain, parse_seeds(seeds), profile=profile, settings=parse_settings(settings or []), dataset_id=dataset_id,
+                name, domain, parse_seeds(seeds), profile=profile, settings=given, dataset_id=dataset_id,
                 overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir, checkpoint_every=checkpoint_every,
                 fresh=fresh, check_only=check_only,
             )
@@ -81,6 +85,7 @@ def pilot(
     domain: DomainOption = "walker",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
+    precision: PrecisionOption = None,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
     checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
@@ -96,7 +101,7 @@ def pilot(
     if names == ():
         raise UsageError("--method is empty; leave it out for all that need a threshold.")
     run(
-        names, domain, profile=profile, settings=parse_settings(settings or []), device=device, workers=workers,
+        names, domain, profile=profile, settings=with_precision(parse_settings(settings or []), precision), device=device, workers=workers,
         checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip
     print(thresholds_path())

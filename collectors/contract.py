@@ -31,8 +31,10 @@ from cudc_bench import interrupts, plugins
 from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
+from cudc_bench.graphs import WARM_UP, Graph, Updates
 from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Batch
+from cudc_bench.recorded import RecordedGraph
+from cudc_bench.replay import Batch, Episodes
 from cudc_bench.runlog import open_log
 
 from .base import Collector, Space
@@ -290,6 +292,37 @@ class CollectorContract:
         unmeasured = _run(make(name), steps=1200, seed_steps=300)[0]
         for a, b in zip(measured.episodes, unmeasured.episodes, strict=True):
             assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+
+    def test_a_graph_of_its_update_does_what_the_update_does(self, name: str) -> None:
+        """As on CUDA: nothing but tensors that stay where they are decides what an update does, and it waits for none of them."""
+        if not getattr(make(name), "replayable", False):
+            pytest.skip("its updates are not replayed")
+
+        def run(graph: type[Graph] | None) -> tuple[str, list[str]]:
+            collector = make(name, (1, 2))
+            random = MemberRandom((1, 2), "replay")
+            replay = Episodes(2, 6, 6 * 40, 24, 6, random, skill=collector.skill_size)
+
+            def draw(measure: bool) -> Batch:
+                return replay.sample(32, collector.horizon, measure, collector.nearest)
+
+            updates = Updates(collector, draw, random, graph)
+            seen: list[str] = []
+            places: list[list[int]] = []
+            for step in range(WARM_UP + 9):
+                if step % 3 == 0 and step < 18:
+                    for member in (0, 1):
+                        g = torch.Generator().manual_seed(10 * step + member)
+                        skills = torch.rand(40, collector.skill_size, generator=g) if collector.skill_size else None
+                        replay.add(member, torch.randn(41, 24, generator=g), torch.rand(40, 6, generator=g), skills)
+                metrics, batch = updates(measure=step == WARM_UP + 5)
+                # A tensor that was replaced would be the old one to a graph, whether its value has changed by now or not.
+                places.append([tensor.data_ptr() for tensor in (*collector.parameters(), *collector.buffers())])
+                seen.append(digest([batch.observation.clone(), collector.act(torch.ones(2, 24)), *metrics.values()]))
+            assert all(one == places[0] for one in places)
+            return digest(collector.state_dict()), seen
+
+        assert run(RecordedGraph) == run(None)
 
     def test_learns_from_transitions_of_other_lengths(self, name: str) -> None:
         """The k of a method may be set, and the value of s' counts γ^k."""

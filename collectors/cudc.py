@@ -237,7 +237,8 @@ class CUDC(DDPG):
             states.append(batch.nearer_observation)
         z, z_next, *nearer = self.state_encoder(torch.cat(states, dim=1)).split(size, dim=1)
         action = self.action_encoder(batch.action) if config.action_encoder else batch.action
-        k = F.one_hot(batch.horizon - config.horizon, self.horizons).to(z.dtype)
+        # Not one_hot, which has the host look whether a number is too small.
+        k = (batch.horizon[:, None] - config.horizon == torch.arange(self.horizons, device=z.device)).to(z.dtype)
         k = k[:, None].expand(-1, size, -1)
         z_pair = torch.cat([z, z_next], dim=-1)
         predicted = self.forward_model(torch.cat([z, action, k], dim=-1))
@@ -315,7 +316,7 @@ class CUDC(DDPG):
         f, config = batch.kept, self.config
         measured = self._measure(batch) if batch.measure else {}
         if config.k_rule in {"uniform", "normal"}:
-            self.k = self._drawn_horizon()
+            self.k.copy_(self._drawn_horizon())
         elif config.k_rule != "weight" or config.reach:
             f["signal"] = f[{"weight": "w", "reward": "reward", "error": "surprise"}[config.k_rule]]
             low = (f["signal"] < getattr(config, _THRESHOLDS[config.k_rule])).float().mean(1)
@@ -327,17 +328,16 @@ class CUDC(DDPG):
     def _adapt_horizon(self, low: Tensor, mean: Tensor) -> None:
         """k <- k + 1 where p > C_k (paper, Algorithm 1); tensors only, so that nothing waits for the device."""
         config = self.config
-        self.in_a_row = torch.where(low > config.c_k, self.in_a_row + 1, 0)
+        self.in_a_row.copy_(torch.where(low > config.c_k, self.in_a_row + 1, 0))
         dwell = max(config.min_dwell, config.threshold_dwell if self.threshold(config) else 0)
         dwelt = (self.updates - self.last_change) * self.space.update_every >= dwell
         grow = (self.in_a_row >= config.patience) & dwelt & (self.k < config.k_max)
         row = (self.k - config.horizon)[:, None, None].expand(-1, 1, 3)
         seen = torch.stack([self.updates.float().expand_as(mean), low, mean], dim=-1)[:, None]
         self.increments.scatter_(1, row, torch.where(grow[:, None, None], seen, self.increments.gather(1, row)))
-        self.last_change = torch.where(grow, self.updates, self.last_change)
-        self.in_a_row = torch.where(grow, 0, self.in_a_row)
-        # A new tensor: batches already drawn keep the k that they were drawn with.
-        self.k = self.k + grow
+        self.last_change.copy_(torch.where(grow, self.updates, self.last_change))
+        self.in_a_row.masked_fill_(grow, 0)
+        self.k += grow
 
     def _drawn_horizon(self) -> Tensor:
         """k of the next minibatch, one for each member: uniform on K, or round(N(μ_t, σ²)) kept inside K."""

@@ -135,9 +135,10 @@ class DDPG(Learner, Collector):
 
     @property
     def horizon(self) -> Tensor:
-        return self.k
+        # k changes in place: a batch keeps the one that it was drawn with.
+        return self.k.clone()
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         metrics: dict[str, Tensor] = {}
         if "belief" in self.optimisers:
             loss, metrics = self.belief_loss(batch)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -13,12 +13,14 @@ import torch
 
 from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
-from cudc_bench.config import NonNegativeInt, PositiveInt
+from cudc_bench.config import LATER, NonNegativeInt, PositiveInt
 from cudc_bench.data.writer import Episode
 from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
+from cudc_bench.graphs import Acts, Updates, graphs_for
+from cudc_bench.learner import Precision, set_precision
 from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.networks import MemberRandom
 from cudc_bench.replay import Batch, Episodes
@@ -39,12 +41,14 @@ class CollectConfig:
         update_every: environment steps for each update.
         measure_every: updates between two lines of diagnostics, which is ``measure_every * update_every`` environment steps, whether the
             method learns or not.
+        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
     """
 
     steps: PositiveInt = 1_000_000
     seed_steps: NonNegativeInt = 4_000
     update_every: PositiveInt = 2
     measure_every: PositiveInt = 1_000
+    precision: Precision = field(default="float32", metadata=LATER)
 
 
 class Sink(Protocol):
@@ -119,6 +123,7 @@ def run_collection(
         BrokenDownError: the simulation diverged, or an observation, an action or a metric is not finite.
         Interrupted: the process was asked to leave; the state after the last step is kept.
     """
+    set_precision(collector, config.precision)
     run = _Run(collector, config, domain, sinks, watcher)
     kept = None if checkpoints is None else checkpoints.load(run.load_state, collector.device)
 
@@ -155,12 +160,16 @@ class _Run:
         self._simulators = make_simulators(domain.name, members)
         self._first_actions = MemberRandom(seeds, "first actions")
         self._replay = None
+        graphs = graphs_for(collector, collector.device)
+        # Found anew at each step, so that whoever looks on may put itself in its place.
+        self._act = Acts(lambda seen: collector.act(seen), getattr(collector, "random", {}).values(), collector.device, graphs)
         if collector.learns:
             episodes = math.ceil(config.steps / length)
             self._replay = Episodes(
                 members, episodes, episodes * length, domain.observation_size, domain.action_size,
                 MemberRandom(seeds, "replay", collector.device), skill=collector.skill_size,
             )  # fmt: skip
+            self._update = Updates(collector, self._draw, self._replay.random, graphs)
         # The episode that is under way.
         self._reset_seeds = [0] * members
         self._observations = np.empty((members, length + 1, domain.observation_size), np.float32)
@@ -187,23 +196,19 @@ class _Run:
         if step < config.seed_steps and collector.learns:
             chosen = self._first_actions.uniform(self._domain.action_size) * 2.0 - 1.0
         else:
-            chosen = collector.act(torch.from_numpy(self._observations[:, t]).to(collector.device)).cpu()
+            chosen = self._act(torch.from_numpy(self._observations[:, t]))
         self._actions[:, t] = chosen.numpy()
         check_actions(self._actions[:, t], self._observations[:, t], f"at step {step:,}")
+        done = step + 1 == config.steps
+        ends = t + 1 == length or done
+        # Within an episode the replay does not change: the update can begin, and a GPU be at it while the simulator steps.
+        if not ends:
+            self._learn(step)
         self._simulate(t)
         self.steps = step + 1
-        done = self.steps == config.steps
-        if t + 1 == length or done:
+        if ends:
             self._hand_on(t + 1)
-        due = step >= config.seed_steps and step % config.update_every == 0
-        if due and self._replay is not None and self._replay.episodes():
-            # The last update before a line.
-            measure = (step + config.update_every) % self._row_every == 0 or step + config.update_every >= config.steps
-            batch = self._replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
-            self._metrics = collector.update(batch)
-            self._updates += 1
-            if self._watcher is not None:
-                self._watcher.after_update(batch)
+            self._learn(step)
         row_due = self.steps % self._row_every == 0 or done
         if self._visits and (row_due or t + 1 == length):
             for member, counts in enumerate(self._visits):
@@ -211,6 +216,23 @@ class _Run:
             self._counted = (t + 1) % length
         if row_due:
             self._add_row()
+
+    def _learn(self, step: int) -> None:
+        """The update that is due at a step, if one is."""
+        config = self._config
+        if step < config.seed_steps or step % config.update_every or self._replay is None or not self._replay.episodes():
+            return
+        # The last update before a line.
+        measure = (step + config.update_every) % self._row_every == 0 or step + config.update_every >= config.steps
+        self._metrics, batch = self._update(measure)
+        self._updates += 1
+        if self._watcher is not None:
+            self._watcher.after_update(batch)
+
+    def _draw(self, measure: bool) -> Batch:
+        assert self._replay is not None
+        collector = self._collector
+        return self._replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
 
     def _reset(self, episode: int) -> None:
         for member, simulator in enumerate(self._simulators):

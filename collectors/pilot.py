@@ -21,6 +21,7 @@ from cudc_bench.envs import check_domain
 from cudc_bench.errors import BrokenDownError, UsageError
 from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.ids import domain_slug
+from cudc_bench.learner import check_precision
 from cudc_bench.locks import locked
 from cudc_bench.manifest import Pilot
 from cudc_bench.options import CHECKPOINT_EVERY
@@ -81,6 +82,8 @@ def pilot(
     if methods and (others := [name for name in methods if name not in wanting]):
         raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
     found = [settle(name, domain, chosen, settings, piloting=True) for name in needy if name in wanting]
+    for one in found:
+        check_precision(one.kind, one.method, one.loop.precision, device)
     path = thresholds_path()
     check_file(path, "the file of thresholds")
     # What is damaged would be found when the results are added to it, with the work done.

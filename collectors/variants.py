@@ -216,7 +216,7 @@ class APTSchedule(APT):
 
     def after_belief(self, batch: Batch) -> dict[str, Tensor]:
         step = self.space.seed_steps + (self.updates + 1) * self.space.update_every
-        self.k = (self.config.horizon + (step >= self.k_steps).sum()).expand(len(self.seeds))
+        self.k.copy_((self.config.horizon + (step >= self.k_steps).sum()).expand(len(self.seeds)))
         return super().after_belief(batch)
 
     k_steps: Tensor

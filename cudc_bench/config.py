@@ -17,6 +17,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 from cudc_bench.errors import UsageError, nearest
 
 ConfigT = TypeVar("ConfigT")
+# Of a field that came after data had been made without it: its default is not written down, so that what was made before is still the same.
+LATER = {"later": True}
 
 # The upper bound is beyond any run, and keeps slips of the keyboard out of the arithmetic of sizes.
 PositiveInt = Annotated[int, Field(ge=1, le=10**10)]
@@ -97,19 +99,22 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
 
 
 def as_dict(*configs: Any) -> dict[str, Any]:
-    """All values of some configurations in one JSON-ready mapping; their names must not overlap."""
+    """All values of some configurations in one JSON-ready mapping, without defaults of ``LATER`` fields; their names must not overlap."""
     merged: dict[str, Any] = {}
     for config in configs:
-        for name, value in dataclasses.asdict(config).items():
+        for field in dataclasses.fields(config):
+            name, value = field.name, getattr(config, field.name)
             if name in merged:
                 raise ValueError(f"two configurations of one run have a field '{name}'")
+            if field.metadata.get("later") and value == field.default:
+                continue
             merged[name] = list(value) if isinstance(value, tuple) else value
     return merged
 
 
 def changed(values: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     """The values that differ from those of the plain profile: what a run's settings really changed."""
-    return {name: value for name, value in values.items() if value != plain[name]}
+    return {name: value for name, value in values.items() if name not in plain or value != plain[name]}
 
 
 def config_hash(values: Mapping[str, Any]) -> str:

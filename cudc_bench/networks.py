@@ -17,6 +17,21 @@ from torch import Tensor, nn
 
 from cudc_bench.seeding import stream_seed
 
+_WIDE = 64  # Narrower products take little time, and values and actions come from them.
+_bf16_products = False
+
+
+@contextmanager
+def bf16_products() -> Iterator[None]:
+    """Within this context wide layers multiply numbers of bfloat16, forwards and backwards. All else stays float32: what comes out of a
+    layer, sums, losses, targets, weights and optimisers, and layers with fewer than 64 inputs or outputs."""
+    global _bf16_products
+    before, _bf16_products = _bf16_products, True
+    try:
+        yield
+    finally:
+        _bf16_products = before
+
 
 class MemberRandom:
     """One random stream for each member, for one purpose.
@@ -88,6 +103,9 @@ class Linear(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(E, B, inputs) -> (E, B, outputs)."""
+        if _bf16_products and min(self.weight.shape[1:]) >= _WIDE:
+            # The sum with the bias is float32 again.
+            return torch.bmm(x.bfloat16(), self.weight.bfloat16()) + self.bias
         return torch.baddbmm(self.bias, x, self.weight)
 
 
@@ -226,12 +244,20 @@ Trained = nn.Module | nn.Parameter | tuple[nn.Module, float]
 
 
 def adam(trained: Sequence[Trained], learning_rate: float) -> torch.optim.Adam:
-    """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate."""
+    """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate.
+
+    On CUDA, where a graph would keep a number for ever, learning rates are tensors.
+    """
     groups: dict[float, list[nn.Parameter]] = {}
     for one in trained:
         module, rate = one if isinstance(one, tuple) else (one, learning_rate)
         groups.setdefault(rate, []).extend([module] if isinstance(module, nn.Parameter) else module.parameters())
-    return torch.optim.Adam([{"params": parameters, "lr": rate} for rate, parameters in groups.items()], fused=True)
+    device = next(parameters[0].device for parameters in groups.values())
+    on_cuda = device.type == "cuda"
+    rates = {rate: torch.tensor(rate, device=device) if on_cuda else rate for rate in groups}
+    return torch.optim.Adam(
+        [{"params": parameters, "lr": rates[rate]} for rate, parameters in groups.items()], fused=True, capturable=on_cuda
+    )
 
 
 def minimise(loss: Tensor, optimiser: torch.optim.Optimizer) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import typer
@@ -22,6 +22,7 @@ ProfileOption = Annotated[
     typer.Option("--profile", envvar="CUDC_BENCH_PROFILE", help="Set of hyperparameters: paper, cpu, demo, smoke, or auto."),
 ]
 SetOption = Annotated[list[str] | None, typer.Option("--set", help="Override one hyperparameter: name=value. Repeatable.")]
+PrecisionOption = Annotated[str | None, typer.Option("--precision", help="Of wide products in updates: float32, bf16, tf32 (CUDA).")]
 DatasetIdOption = Annotated[str | None, typer.Option("--dataset-id", help="Id of the dataset, instead of the default one.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace what exists.")]
 DeviceOption = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto.")]
@@ -35,6 +36,19 @@ CHECKPOINT_EVERY = 60.0
 LOG_DIR = "runs"  # TensorBoard's own habit
 
 _RANGE = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
+
+
+def with_precision(settings: Mapping[str, str], precision: str | None) -> dict[str, str]:
+    """The settings of ``--set``, and ``--precision`` among them where it was given.
+
+    Raises:
+        UsageError: both say it.
+    """
+    if precision is None:
+        return dict(settings)
+    if "precision" in settings:
+        raise UsageError("--precision and --set precision say the same; give one of them.")
+    return {**settings, "precision": precision}
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

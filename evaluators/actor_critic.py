@@ -37,6 +37,15 @@ class OfflineLearner(Learner, Evaluator):
     def build(self, random: MemberRandom) -> None:
         """Make the networks and their optimisers."""
 
+    def updates_actor(self) -> bool:
+        """Whether the next update moves the actor and the slow copies, too; asked before ``updates`` counts it."""
+        return True
+
+    def prepare(self) -> bool:
+        plan = self.updates_actor()
+        self.updates += 1
+        return plan
+
     def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
         return super().state_dict() | {"updates": self.updates}
 
@@ -108,10 +117,6 @@ class ActorCritic(OfflineLearner):
         values = self.critic(batch.observation, batch.action)
         return regression(values, target), {"q": values.detach().mean((1, 2))}
 
-    def updates_actor(self) -> bool:
-        """Whether this update moves the actor and the targets, too."""
-        return True
-
     def update_targets(self) -> None:
         """Move the slow copies."""
         soft_update(self.critic, self.target_critic, self.config.critic_tau)
@@ -122,20 +127,19 @@ class ActorCritic(OfflineLearner):
     def policy(self) -> nn.Module:
         return self.actor
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def learn(self, batch: Batch, plan: bool) -> dict[str, Tensor]:
         with torch.no_grad():
             next_value = self.target_critic(batch.next_observation, self.next_action(batch)).amin(-1)
             target = labels(batch) + self.config.discount * next_value
         loss, metrics = self.critic_loss(batch, target)
         self.minimise("critic", loss)
         metrics["critic_loss"] = loss.detach()
-        if self.updates_actor():
+        if plan:
             with frozen(self.critic):
                 loss, more = self.actor_loss(batch)
                 self.minimise("actor", loss)
             metrics |= more | {"actor_loss": loss.detach()}
             self.update_targets()
-        self.updates += 1
         return metrics if batch.measure else {}
 
 

@@ -21,6 +21,7 @@ from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.files import remove_empty_above
 from cudc_bench.ids import datasets_root, default_id, parse_id
+from cudc_bench.learner import check_precision
 from cudc_bench.locks import locked
 from cudc_bench.manifest import Manifest, read_manifest
 from cudc_bench.networks import MemberRandom
@@ -150,6 +151,8 @@ def evaluate(
     check_folder(datasets_root(), "the dataset root")
     logs = check_log(log, log_dir)
     device = resolve_device(device)
+    for plan in plans:
+        check_precision(plan.kind, plan.algo, plan.loop.precision, device)
     worker_count(workers, 1)
     check_domain(domain)
     if not (math.isfinite(checkpoint_every) and checkpoint_every >= 0):

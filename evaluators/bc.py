@@ -44,9 +44,8 @@ class BC(OfflineLearner):
     def policy(self) -> nn.Module:
         return self.actor
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def learn(self, batch: Batch, plan: bool) -> dict[str, Tensor]:
         likelihood = normal_log_prob(self.actor(batch.observation), batch.action, math.log(self.config.noise_std)).sum(-1)
         loss = -likelihood.mean(1)
         self.minimise("actor", loss)
-        self.updates += 1
         return {"actor_loss": loss.detach()} if batch.measure else {}

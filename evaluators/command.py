@@ -18,6 +18,7 @@ from cudc_bench.options import (
     LogOption,
     MethodOption,
     OverwriteOption,
+    PrecisionOption,
     ProfileOption,
     RewardOption,
     SeedsOption,
@@ -28,6 +29,7 @@ from cudc_bench.options import (
     parse_seeds,
     parse_sizes,
     parse_tasks,
+    with_precision,
 )
 
 
@@ -39,6 +41,7 @@ def evaluate(
     seeds: SeedsOption = "1",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
+    precision: PrecisionOption = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, max=10**10, help="Gradient steps, instead of the profile's.")] = None,
     dataset_id: Annotated[str | None, typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.")] = None,
     dataset_size: Annotated[
@@ -61,9 +64,10 @@ def evaluate(
 
     from .api import evaluate as run
 
+    given = with_precision(parse_settings(settings or []), precision)
     paths = run(
         parse_names(algo), domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
-        settings=parse_settings(settings or []), steps=steps, dataset_id=None if dataset_id is None else parse_names(dataset_id),
+        settings=given, steps=steps, dataset_id=None if dataset_id is None else parse_names(dataset_id),
         dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
         device=device, workers=workers, log=log, log_dir=log_dir, policies=policy,
         checkpoint_every=checkpoint_every, fresh=fresh,

@@ -26,9 +26,11 @@ import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.checkpoints import Checkpoints
+from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
+from cudc_bench.graphs import WARM_UP, Graph, Updates
 from cudc_bench.networks import MemberRandom
+from cudc_bench.recorded import RecordedGraph
 from cudc_bench.replay import Batch, Episodes
 
 from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
@@ -172,6 +174,34 @@ class EvaluatorContract:
         pair = together.act(observation.expand(2, -1, -1))
         torch.testing.assert_close(pair[1:], alone.act(observation), atol=1e-4, rtol=1e-4)
         assert not torch.allclose(pair[0], pair[1])
+
+    def test_a_graph_of_its_update_does_what_the_update_does(self, name: str) -> None:
+        """As on CUDA: nothing but tensors that stay where they are decides what an update does, and it waits for none of them."""
+        if not getattr(make(name), "replayable", False):
+            pytest.skip("its updates are not replayed")
+
+        def run(graph: type[Graph] | None) -> tuple[str, list[str]]:
+            agent = make(name, (1, 2))
+            random = MemberRandom((1, 2), "replay")
+            data = Episodes(1, 3, 120, 24, 6, random, [0, 0])
+            g = torch.Generator().manual_seed(0)
+            for _ in range(3):
+                data.add(0, torch.randn(41, 24, generator=g), torch.rand(40, 6, generator=g))
+            data.rewards = torch.rand(2, 120, generator=g)
+            horizon = torch.ones(2, dtype=torch.int64)
+            updates = Updates(agent, lambda m: data.sample(32, horizon, m, next_action=agent.wants_next_action), random, graph)
+            seen: list[str] = []
+            places: list[list[int]] = []
+            # Some move their actors in every second update only: two plans.
+            for step in range(2 * WARM_UP + 8):
+                metrics, batch = updates(measure=step == 2 * WARM_UP + 4)
+                # A tensor that was replaced would be the old one to a graph, whether its value has changed by now or not.
+                places.append([tensor.data_ptr() for tensor in (*agent.parameters(), *agent.buffers())])
+                seen.append(digest([batch.observation.clone(), agent.act(torch.ones(2, 1, 24)), *metrics.values()]))
+            assert all(one == places[0] for one in places)
+            return digest(agent.state_dict()), seen
+
+        assert run(RecordedGraph) == run(None)
 
     def test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end(self, name: str) -> None:
         agent = make(name, (1, 2))

@@ -71,7 +71,13 @@ class IQL(OfflineLearner):
     def policy(self) -> nn.Module:
         return self.actor
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def prepare(self) -> bool:
+        config = self.config
+        progress = min(self.updates / config.schedule_steps, 1.0)
+        self.set_learning_rate("actor", config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress)))
+        return super().prepare()
+
+    def learn(self, batch: Batch, plan: bool) -> dict[str, Tensor]:
         config = self.config
         with torch.no_grad():
             target_q = self.target_critic(batch.observation, batch.action).amin(-1)
@@ -91,11 +97,7 @@ class IQL(OfflineLearner):
         weight = (config.beta * advantage).exp().clamp(max=config.largest_weight)
         likelihood = normal_log_prob(self.actor(batch.observation), batch.action, self.log_std.clamp(*LOG_STD)).sum(-1)
         actor_loss = -(weight * likelihood).mean(1)
-        progress = min(self.updates / config.schedule_steps, 1.0)
-        for group in self.optimisers["actor"].param_groups:
-            group["lr"] = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
         self.minimise("actor", actor_loss)
-        self.updates += 1
         if not batch.measure:
             return {}
         return {

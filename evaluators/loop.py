@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,10 +13,12 @@ from pydantic import Field
 
 from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
-from cudc_bench.config import PositiveInt
+from cudc_bench.config import LATER, PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
 from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
+from cudc_bench.graphs import Updates, graphs_for
+from cudc_bench.learner import Precision, set_precision
 from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.parallel import cores, torch_threads
 from cudc_bench.replay import Episodes
@@ -39,6 +41,7 @@ class EvaluateConfig:
         evaluation_episodes: episodes of each evaluation, with the deterministic policy.
         final_episodes: episodes of a further evaluation after the last update, which tables use for the last milestone.
         milestones: gradient steps whose scores go into tables; "computational efficiency" and "learning performance" in the paper.
+        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
     """
 
     gradient_steps: PositiveInt = 500_000
@@ -46,6 +49,7 @@ class EvaluateConfig:
     evaluation_episodes: PositiveInt = 10
     final_episodes: PositiveInt = 50
     milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
+    precision: Precision = field(default="float32", metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,14 @@ def run_evaluation(
         RunError: training diverged (a metric is not finite), or a simulation did.
         Interrupted: the process was asked to leave; the state is kept.
     """
+    set_precision(agent, config.precision)
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
+    updates = Updates(
+        agent,
+        lambda measure: data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action),
+        data.random,
+        graphs_for(agent, agent.device),
+    )
     outcomes = [Outcome([], [], []) for _ in agent.seeds]
 
     def log(step: int, rows: Iterable[Mapping[str, float]]) -> None:
@@ -202,7 +213,7 @@ def run_evaluation(
             if last:
                 break
             measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
-            metrics = agent.update(data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action))
+            metrics, _ = updates(measure)
             if measure:
                 rows = member_rows(metrics, step + 1)
                 for outcome, values in zip(outcomes, rows, strict=True):

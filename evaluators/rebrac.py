@@ -88,7 +88,10 @@ class ReBRAC(OfflineLearner):
     def policy(self) -> nn.Module:
         return self.actor
 
-    def update(self, batch: Batch) -> dict[str, Tensor]:
+    def updates_actor(self) -> bool:
+        return (self.updates + 1) % self.config.policy_delay == 0
+
+    def learn(self, batch: Batch, plan: bool) -> dict[str, Tensor]:
         config = self.config
         assert batch.next_action is not None, "ReBRAC needs the next action"
         with torch.no_grad():
@@ -102,9 +105,8 @@ class ReBRAC(OfflineLearner):
         critic_loss = regression(values, target)
         self.minimise("critic", critic_loss)
         metrics = {"q": values.detach().mean((1, 2)), "critic_loss": critic_loss.detach(), "next_distance": distance.mean(1)}
-        if (self.updates + 1) % config.policy_delay == 0:
+        if plan:
             metrics |= self._update_actor(batch)
-        self.updates += 1
         return metrics if batch.measure else {}
 
     def _update_actor(self, batch: Batch) -> dict[str, Tensor]:
