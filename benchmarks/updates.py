@@ -88,7 +88,7 @@ def compare(agents: dict[str, Any], what: str) -> Iterator[Row]:
         targets = [*([] if limit is None else [f"≤ {limit}x"]), *([] if least is None else [f"≥ {least:.0%}"])]
         yield Row(
             f"{name} {what}, {agents[name].config.batch_size} x {agents[name].config.width}",
-            f"{seconds * 1e3:.1f} ms, {operations[name] / 1e9:.1f} GFLOP",
+            f"{seconds * 1e3:.1f} ms, {operations[name] / 1e9:.1f} GFLOP, {operations[name] / seconds / 1e9:.0f} GFLOP/s",
             f"{first}; peak {best_peak / 1e9:.0f} GFLOP/s",
             f"{ratio:.2f}x; {share:.0%}",
             " ".join(targets),
