@@ -16,8 +16,8 @@ from benchmarks.measure import Row
 from cudc_bench.parallel import cores
 from cudc_bench.provenance import commit, processor, versions
 
-NAMES = ("environment", "relabel", "updates", "learners", "precision", "shares", "growth", "whole", "protocol", "checkpoints", "sampler",
-         "datasets", "memory")  # fmt: skip
+NAMES = ("environment", "relabel", "updates", "learners", "precision", "shares", "growth", "whole", "cuda", "protocol", "checkpoints",
+         "sampler", "datasets", "memory")  # fmt: skip
 
 
 def main() -> None:
