@@ -21,6 +21,7 @@ from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
 from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.networks import MemberRandom
+from cudc_bench.profiles import PAPER_STEPS
 from cudc_bench.replay import Batch, Episodes
 from cudc_bench.seeding import episode_seed
 
@@ -41,7 +42,7 @@ class CollectConfig:
             method learns or not.
     """
 
-    steps: PositiveInt = 1_000_000
+    steps: PositiveInt = PAPER_STEPS
     seed_steps: NonNegativeInt = 4_000
     update_every: PositiveInt = 2
     measure_every: PositiveInt = 1_000

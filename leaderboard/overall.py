@@ -28,9 +28,9 @@ from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from . import statistics
-from .load import column, short
+from .load import column, short, submitted_columns
 from .statistics import SIGNIFICANCE, Floats, Integers, Interval
-from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span
+from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span, submitted_caption
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
 ALL = "all domains"
@@ -158,12 +158,14 @@ class Overall:
         group, algorithm: as of its tables.
         slug: a safe and unique name for files.
         comparisons: by milestone, the last first; for each all domains together and then, if there are several, each by itself.
+        submitted: methods that others handed in, and nobody ran again here.
     """
 
     group: str
     algorithm: str
     slug: str
     comparisons: tuple[Comparison, ...]
+    submitted: tuple[str, ...] = ()
 
     @property
     def headline(self) -> Comparison:
@@ -181,6 +183,7 @@ class Overall:
             " (datasets resampled with all their tasks; expanded percentiles; 10,000 resamples, fixed seed)."
             " In braces: the plain stratified bootstrap, which takes a dataset's tasks for independent and is too narrow."
             " A single seed has no interval."
+            + submitted_caption(self.submitted)
             + (f" {PRELIMINARY}" if any(comparison.preliminary for comparison in self.comparisons) else "")
         )
 
@@ -207,7 +210,10 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
     for group, algorithm in sorted(groups):
         comparisons = _comparisons(groups[group, algorithm])
         if comparisons:
-            found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons))
+            compared = {method for comparison in comparisons for method in comparison.methods}
+            handed = submitted_columns(record for table in groups[group, algorithm] for record in table.records)
+            submitted = tuple(method for method in handed if method in compared)
+            found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons, submitted))
     return found
 
 
