@@ -72,7 +72,7 @@ def _record(draw: np.random.Generator, algorithm: str, method: str, seed: int, d
             {"step": int(step), "values": dict(zip(names, row.tolist(), strict=True))} for step, row in zip(steps[1:], metrics, strict=True)
         ],
         "seconds": 1.0, "versions": {}, "machine": {}, "created": "2026-01-01T00:00:00+00:00",
-        "command": f"cudc-bench evaluate --algo {algorithm} --profile paper --domain {domain} --method {method} --seed {seed} --task {task}",
+        "command": f"cudc-bench evaluate --algo {algorithm} --domain {domain} --method {method} --seed {seed} --task {task}",
     }  # fmt: skip
 
 

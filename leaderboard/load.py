@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -66,7 +68,7 @@ def load_records(paths: Iterable[Path]) -> Loaded:
 def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError]]:
     """Every record below some paths, as :func:`load_records` finds them, or why it cannot be one."""
     found = files(paths)
-    with bar_if_long("reading records", len(found), "files") as advance:
+    with _without_collector(), bar_if_long("reading records", len(found), "files") as advance:
         for path in found:
             try:
                 record = read_record(path)
@@ -75,6 +77,18 @@ def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError]]:
             except RunError as error:
                 yield path, error
             advance(1)
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Python looks through all objects again and again while they become more: of ten thousand records that takes most of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def to_frame(records: Iterable[Record]) -> pd.DataFrame:
