@@ -149,8 +149,21 @@ def tail(counts: Sequence[int]) -> float:
 
 def interval(distribution: Floats, probability: float) -> Interval:
     """The percentile interval of a bootstrap distribution (B,) that leaves so much at either end."""
-    low, high = np.quantile(distribution, [probability, 1 - probability])
+    low, high = _ends(distribution, probability)
     return Interval(float(low), float(high))
+
+
+def _ends(values: NDArray[np.floating[Any]], share: float) -> tuple[Floats, Floats]:
+    """``numpy.quantile`` of a share and of the rest over the last axis, in double precision; to sort takes a tenth of its time."""
+    ordered = np.sort(values, axis=-1)
+
+    def at(share: float) -> Floats:
+        place = share * (values.shape[-1] - 1)
+        lower = int(place)
+        below, above = (ordered[..., min(index, values.shape[-1] - 1)].astype(np.float64) for index in (lower, lower + 1))
+        return np.asarray(below + (above - below) * (place - lower))
+
+    return at(share), at(1 - share)
 
 
 def profile(scores: Floats, thresholds: Floats) -> Floats:
@@ -167,17 +180,8 @@ def profile_band(scores: Floats, blocks: Integers, counts: Counts, thresholds: F
         above = (scores[:, blocks == block, None] > thresholds).sum(1)
         runs += above.T.astype(np.float32) @ count.astype(np.float32)
     probability = tail([n] * len(counts))
-    low, high = (_quantile(runs, share) / (n * tasks) for share in (probability, 1 - probability))
-    return low, high
-
-
-def _quantile(values: NDArray[np.float32], share: float) -> Floats:
-    """As ``numpy.quantile`` over the last axis, which would interpolate in the precision of the values: (k, B) -> (k,)."""
-    place = share * (values.shape[-1] - 1)
-    lower = int(place)
-    upper = min(lower + 1, values.shape[-1] - 1)
-    found = np.partition(values, [lower, upper], axis=-1)[:, [lower, upper]].astype(np.float64)
-    return np.asarray(found[:, 0] + (found[:, 1] - found[:, 0]) * (place - lower))
+    low, high = _ends(runs, probability)
+    return low / (n * tasks), high / (n * tasks)
 
 
 def rank_shares(distributions: Floats) -> Floats:
