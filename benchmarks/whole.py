@@ -18,9 +18,10 @@ from cudc_bench.collectors.loop import _Run as Collection
 from cudc_bench.collectors.setting import settle
 from cudc_bench.envs import DOMAINS, check_domain
 from cudc_bench.evaluators.contract import random_walker_data
-from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
+from cudc_bench.evaluators.loop import Arena, run_evaluation
 from cudc_bench.parallel import cores
 from cudc_bench.profiles import PROFILES
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.runlog import open_log
 
 STEPS = {"cpu": 8_000, "paper": 60}  # measured, after the random ones

@@ -13,16 +13,17 @@ import torch
 
 from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
-from cudc_bench.config import LATER, NonNegativeInt, PositiveInt
+from cudc_bench.config import LATER, NonNegativeInt, PositiveInt, Precision
 from cudc_bench.data.writer import Episode
 from cudc_bench.descriptors import Visits
 from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
 from cudc_bench.graphs import Acts, Updates, graphs_for
-from cudc_bench.learner import Precision, set_precision
+from cudc_bench.learner import set_precision
 from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.networks import MemberRandom
+from cudc_bench.profiles import PAPER_STEPS
 from cudc_bench.replay import Batch, Episodes
 from cudc_bench.seeding import episode_seed
 
@@ -44,7 +45,7 @@ class CollectConfig:
         precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
     """
 
-    steps: PositiveInt = 1_000_000
+    steps: PositiveInt = PAPER_STEPS
     seed_steps: NonNegativeInt = 4_000
     update_every: PositiveInt = 2
     measure_every: PositiveInt = 1_000

@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -27,6 +27,7 @@ PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Precision = Literal["float32", "tf32", "bf16"]
 
 
 def parse_settings(settings: Iterable[str]) -> dict[str, str]:
@@ -98,15 +99,20 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
         raise UsageError(f"'{name}' cannot be {value!r}: {first['msg'][0].lower()}{first['msg'][1:]}.") from None
 
 
-def as_dict(*configs: Any) -> dict[str, Any]:
-    """All values of some configurations in one JSON-ready mapping, without defaults of ``LATER`` fields; their names must not overlap."""
+def as_dict(*configs: Any, later: bool = False) -> dict[str, Any]:
+    """All values of some configurations in one JSON-ready mapping; their names must not overlap.
+
+    Args:
+        configs: frozen dataclasses.
+        later: also the defaults of ``LATER`` fields, which what is written down leaves out.
+    """
     merged: dict[str, Any] = {}
     for config in configs:
         for field in dataclasses.fields(config):
             name, value = field.name, getattr(config, field.name)
             if name in merged:
                 raise ValueError(f"two configurations of one run have a field '{name}'")
-            if field.metadata.get("later") and value == field.default:
+            if not later and field.metadata.get("later") and value == field.default:
                 continue
             merged[name] = list(value) if isinstance(value, tuple) else value
     return merged

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from cudc_bench.config import Precision
 from cudc_bench.errors import UsageError
 from cudc_bench.networks import MemberRandom, Trained, adam, bf16_products, minimise
 from cudc_bench.replay import Batch
-
-Precision = Literal["float32", "tf32", "bf16"]
 
 
 class Learner(nn.Module):

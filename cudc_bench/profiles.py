@@ -34,12 +34,13 @@ class Profile:
     threads: int | None = None
 
 
+PAPER_STEPS = 1_000_000  # environment steps of a dataset
 _SMALL = {"width": 128, "batch_size": 128, "learning_rate": 1e-3}
 
 
 def _schedules(steps: int) -> dict[str, Any]:
     """A run's length, and the schedules of methods that are stated for the paper's 1M steps."""
-    share = steps / 1_000_000
+    share = steps / PAPER_STEPS
     return {
         "steps": steps,
         "threshold_dwell": round(150_000 * share),

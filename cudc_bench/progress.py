@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
@@ -70,6 +70,25 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
             return advance
 
         yield [advance_of(number) for number in numbers]
+
+
+@contextmanager
+def bar_if_long(description: str, total: int, unit: str, after: float = 2.0) -> Iterator[Advance]:
+    """One bar as :func:`bars` shows them, but only once the work has taken so many seconds: what is done at once needs none."""
+    begun, done = time.monotonic(), 0
+    shown: list[Advance] = []
+    with ExitStack() as stack:
+
+        def advance(n: int) -> None:
+            nonlocal done
+            done += n
+            if shown:
+                shown[0](n)
+            elif time.monotonic() - begun >= after and done < total:
+                shown.extend(stack.enter_context(bars([(description, total)], unit)))
+                shown[0](done)
+
+        yield advance
 
 
 class _Lines:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 from collections.abc import Mapping
@@ -40,6 +41,18 @@ def commit() -> tuple[str | None, bool]:
         return head, bool(_git(folder, "status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.SubprocessError):
         return None, False
+
+
+def knows_commit(name: str) -> bool:
+    """Whether the checkout that this package runs from has a commit of that full name; False outside one."""
+    folder = Path(__file__).resolve().parent.parent
+    if re.fullmatch("[0-9a-f]{40}", name) is None or not (folder / ".git").exists():
+        return False
+    try:
+        _git(folder, "cat-file", "-e", f"{name}^{{commit}}")
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
 
 
 def _git(folder: Path, *arguments: str) -> str:

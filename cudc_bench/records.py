@@ -12,7 +12,16 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from cudc_bench.errors import RunError
 from cudc_bench.files import check_regular, unwritable, write_atomically
@@ -75,6 +84,31 @@ class TrainingMetrics(_Strict):
     values: dict[str, _Finite]
 
 
+class Submission(_Strict):
+    """Who handed in a record that was not made here; nothing but ``cudc-bench submit`` writes it.
+
+    Attributes:
+        by: a short name, which stands behind the method in tables.
+        url: where more is to be found about it.
+        note: one line of theirs or of whoever took it in.
+        sha256: of the file as it was handed in.
+        submitted: UTC time, ISO 8601.
+    """
+
+    by: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+    url: Annotated[str, Field(pattern=r"^https?://[A-Za-z0-9._~:/?#@!$&*+,;=%-]+$", max_length=300)] | None = None
+    note: Annotated[str, Field(min_length=1, max_length=300)] | None = None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    submitted: str
+
+    @field_validator("note")
+    @classmethod
+    def _printable(cls, note: str | None) -> str | None:
+        if note is not None and not note.isprintable():
+            raise ValueError("it is not one line of printable text")
+        return note
+
+
 class Record(_Strict):
     """One offline training run.
 
@@ -97,6 +131,8 @@ class Record(_Strict):
         machine: processor, threads, device.
         command: makes this record again.
         created: UTC time, ISO 8601.
+        submission: who handed it in, if it was not made here. A file without it has the form that it always had; programs that do not
+            know the field refuse the file rather than take somebody's run for their own, so that the version stays.
     """
 
     schema_version: Literal[1] = 1
@@ -118,6 +154,14 @@ class Record(_Strict):
     machine: dict[str, Any]
     command: str
     created: str
+    submission: Submission | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = serialise(self)
+        if self.submission is None:
+            del values["submission"]
+        return values
 
     @model_validator(mode="after")
     def _ordered(self) -> Record:
@@ -172,6 +216,11 @@ def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profi
     return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}.json")
 
 
+def to_json(record: Record) -> str:
+    """A record as it stands in its file."""
+    return record.model_dump_json(indent=1) + "\n"
+
+
 def write_record(path: Path, record: Record) -> None:
     """Write a record atomically: a reader sees the whole file or none.
 
@@ -179,7 +228,7 @@ def write_record(path: Path, record: Record) -> None:
         RunError: it cannot be written there.
     """
     try:
-        write_atomically(path, record.model_dump_json(indent=1) + "\n")
+        write_atomically(path, to_json(record))
     except OSError as error:
         raise unwritable(f"the record {path}", error) from None
 
@@ -190,14 +239,31 @@ def read_record(path: Path) -> Record:
     Raises:
         RunError: the file is missing, is not JSON, or does not fit the schema.
     """
+    return parse_record(read_content(path), path)
+
+
+def read_content(path: Path) -> bytes:
+    """What is in a record's file.
+
+    Raises:
+        RunError: it cannot be read.
+    """
     try:
         check_regular(path)
-        return Record.model_validate_json(path.read_text(encoding="utf-8"))
+        return path.read_bytes()
     except OSError as error:
         raise RunError(f"cannot read the record {path}: {error.strerror}.") from None
-    except (ValidationError, UnicodeDecodeError) as error:
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "the file"
-            raise RunError(f"{path} is not a run record: {where}: {first['msg']}.") from None
-        raise RunError(f"{path} is not a run record: it is not UTF-8 text.") from None
+
+
+def parse_record(content: bytes, path: Path) -> Record:
+    """Check what is in a record's file; ``path`` is for messages.
+
+    Raises:
+        RunError: it is not JSON, or does not fit the schema.
+    """
+    try:
+        return Record.model_validate_json(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise RunError(f"{path} is not a run record: {where}: {first['msg']}.") from None

@@ -29,6 +29,7 @@ from cudc_bench.options import CHECKPOINT_EVERY, LOG_DIR, check_folder, check_se
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import Profile, resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
+from cudc_bench.protocol import EvaluateConfig, check_milestones, plain_values, profile_values
 from cudc_bench.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.records import (
     DatasetReference,
@@ -43,7 +44,7 @@ from cudc_bench.replay import Episodes
 from cudc_bench.runlog import LogTarget, check_log, open_log
 from cudc_bench.stages import check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
 
-from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
+from .loop import Arena, Outcome, run_evaluation
 from .policies import save_policy
 
 CHECKPOINTS = ".checkpoints"  # folder in that of the records
@@ -333,28 +334,12 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
     return episodes
 
 
-def check_milestones(loop: EvaluateConfig) -> None:
-    """Refuse milestones at which nothing is evaluated.
-
-    Raises:
-        UsageError: names the milestone.
-    """
-    for milestone in loop.milestones:
-        on_the_way = milestone % loop.evaluate_every == 0 and milestone <= loop.gradient_steps
-        if not (on_the_way or milestone == loop.gradient_steps):
-            raise UsageError(
-                f"the milestone {milestone:,} is never evaluated: there is an evaluation every {loop.evaluate_every:,} steps "
-                f"up to {loop.gradient_steps:,}; set milestones=[a,b] to fit."
-            )
-
-
 def _plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], steps: int | None) -> list[Plan]:
     """One for each algorithm; a setting must be known to one of them at least."""
     kinds = {name: plugins.load("evaluators", name) for name in algos}
     if not kinds:
         raise UsageError(f"no algorithm was given; allowed: {', '.join(plugins.names('evaluators'))}.")
     check_settings(settings, [EvaluateConfig, *(kind.config_class for kind in kinds.values())])
-    plain = build(EvaluateConfig, profile.evaluate)
     if steps is not None:
         if "gradient_steps" in settings:
             raise UsageError("--steps and --set gradient_steps say the same; give one of them.")
@@ -362,12 +347,10 @@ def _plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], ste
         settings = {"milestones": [*(one for one in before if one < steps), steps]} | settings | {"gradient_steps": steps}
     loop = build(EvaluateConfig, profile.evaluate, settings)
     check_milestones(loop)
-    # A schedule lasts as long as the run.
-    values = dict(profile.evaluate) | {"schedule_steps": loop.gradient_steps}
     plans = []
     for name, kind in kinds.items():
-        config = kind.configure(values, settings)
-        overrides = changed(as_dict(loop, config), as_dict(plain, kind.configure(values)))
+        config = kind.configure(profile_values(profile, loop.gradient_steps), settings)
+        overrides = changed(as_dict(loop, config), plain_values(kind, profile, loop.gradient_steps))
         plans.append(Plan(name, kind, profile.name, loop, config, overrides))
     return plans
 

@@ -30,10 +30,11 @@ from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.graphs import WARM_UP, Graph, Updates
 from cudc_bench.networks import MemberRandom
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.recorded import RecordedGraph
 from cudc_bench.replay import Batch, Episodes
 
-from .loop import Arena, EvaluateConfig, Outcome, run_evaluation
+from .loop import Arena, Outcome, run_evaluation
 
 SMALL = {"width": 16, "batch_size": 32, "learning_rate": 1e-3}
 

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
-from pydantic import Field
 
 from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
-from cudc_bench.config import LATER, PositiveInt
 from cudc_bench.envs import Domain, make_simulators, reward_function
 from cudc_bench.envs.rewards import CustomReward, Measured
 from cudc_bench.envs.simulator import Float64, Simulator
 from cudc_bench.graphs import Updates, graphs_for
-from cudc_bench.learner import Precision, set_precision
+from cudc_bench.learner import set_precision
 from cudc_bench.metrics import check_actions, check_simulated, member_rows
 from cudc_bench.parallel import cores, torch_threads
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.replay import Episodes
 from cudc_bench.runlog import RunLog
 from cudc_bench.seeding import episode_seed
@@ -29,27 +28,6 @@ from .base import Evaluator
 
 FINAL = "final evaluation"  # the purpose of the seeds of its episodes
 _TELL_EVERY = 100  # gradient steps
-
-
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """How long an agent trains and how often it is evaluated (paper and ExORL).
-
-    Attributes:
-        gradient_steps: updates in all.
-        evaluate_every: updates between two evaluations; there is one before the first update and one after the last, too.
-        evaluation_episodes: episodes of each evaluation, with the deterministic policy.
-        final_episodes: episodes of a further evaluation after the last update, which tables use for the last milestone.
-        milestones: gradient steps whose scores go into tables; "computational efficiency" and "learning performance" in the paper.
-        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
-    """
-
-    gradient_steps: PositiveInt = 500_000
-    evaluate_every: PositiveInt = 10_000
-    evaluation_episodes: PositiveInt = 10
-    final_episodes: PositiveInt = 50
-    milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
-    precision: Precision = field(default="float32", metadata=LATER)
 
 
 @dataclass(frozen=True)

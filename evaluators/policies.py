@@ -19,11 +19,11 @@ from cudc_bench.config import field_names
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.files import check_path, check_regular, unwritable, write_atomically
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.provenance import is_own_command, versions
 from cudc_bench.records import Record, read_record
 
 from .base import Evaluator
-from .loop import EvaluateConfig
 
 SUFFIX = ".policy.pt"
 

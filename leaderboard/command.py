@@ -1,4 +1,4 @@
-"""``cudc-bench leaderboard``, ``cudc-bench diagnostics`` and ``cudc-bench stats``."""
+"""``cudc-bench leaderboard``, ``cudc-bench submit``, ``cudc-bench diagnostics`` and ``cudc-bench stats``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cudc_bench.errors import UsageError
-from cudc_bench.options import parse_names
+from cudc_bench.options import OverwriteOption, parse_names
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -44,6 +44,35 @@ def leaderboard(
         say(f"missing: {missing}")
     for file in report.files:
         typer.echo(file)
+
+
+def submit(
+    records: Annotated[list[str], typer.Argument(help="Records that somebody handed in, or folders of them.")],
+    by: Annotated[str, typer.Option("--by", help="A short name of whoever hands them in.")],
+    url: Annotated[str | None, typer.Option("--url", help="Where more is to be found about them.")] = None,
+    note: Annotated[str | None, typer.Option("--note", help="One line that goes with them.")] = None,
+    output: Annotated[str, typer.Option("--output", help="Folder of our records.")] = "results",
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Check somebody else's records and add them to ours, marked as theirs."""
+    from cudc_bench.progress import say
+
+    from .submit import RefusedError
+    from .submit import submit as run
+
+    try:
+        received = run(records, by, url=url, note=note, output=output, overwrite=overwrite)
+    except RefusedError as error:
+        if len(error.problems) == 1:
+            raise
+        for problem in error.problems:
+            say(f"problem: {problem}")
+        raise UsageError(f"nothing was added: there are {len(error.problems)} problems.") from None
+    for remark in received.remarks:
+        say(f"note: {remark}")
+    for file in received.files:
+        typer.echo(file)
+    say(f"next: cudc-bench leaderboard {output}")
 
 
 def diagnostics(

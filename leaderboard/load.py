@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
+from cudc_bench.progress import bar_if_long
 from cudc_bench.provenance import is_own_command
 from cudc_bench.records import Evaluation, Record, read_record
 
@@ -38,28 +41,54 @@ class Loaded:
 def load_records(paths: Iterable[Path]) -> Loaded:
     """Read records from files, and from every ``*.json`` below folders in sorted order.
 
-    Two records of one training run (same group, dataset, algorithm and seed) are a duplicate: the newest is kept.
+    Two records of one training run (same group, dataset, algorithm and seed, handed in by the same person if at all) are a duplicate: the
+    newest is kept.
 
     Args:
         paths: existing files and folders; a file that is reached twice is read once.
     """
-    kept: dict[tuple[str, str, str, int], tuple[Path, Record]] = {}
+    kept: dict[tuple[str | int, ...], tuple[Path, Record]] = {}
     problems = []
-    for path in _files(paths):
-        try:
-            record = read_record(path)
-            _check(path, record)
-        except RunError as error:
-            problems.append(plain(str(error)))
+    for path, record in read_all(paths):
+        if isinstance(record, RunError):
+            problems.append(plain(str(record)))
             continue
-        run = (record.group, record.dataset.id, record.algorithm, record.seed)
+        # Whoever hands in a run never takes the place of another's.
+        by = "" if record.submission is None else record.submission.by
+        run = (record.group, record.dataset.id, record.algorithm, record.seed, by)
         if run not in kept:
             kept[run] = (path, record)
             continue
-        old, new = sorted([kept[run], (path, record)], key=lambda entry: _created(entry[1]))
+        old, new = sorted([kept[run], (path, record)], key=lambda entry: created(entry[1]))
         kept[run] = new
         problems.append(plain(f"{old[0]} is left out: {new[0]} is the same training run and not older."))
     return Loaded(tuple(record for _, record in kept.values()), tuple(problems))
+
+
+def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError]]:
+    """Every record below some paths, as :func:`load_records` finds them, or why it cannot be one."""
+    found = files(paths)
+    with _without_collector(), bar_if_long("reading records", len(found), "files") as advance:
+        for path in found:
+            try:
+                record = read_record(path)
+                why = impossible(record)
+                yield path, record if why is None else RunError(f"{path} is left out: {why}")
+            except RunError as error:
+                yield path, error
+            advance(1)
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Python looks through all objects again and again while they become more: of ten thousand records that takes most of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def to_frame(records: Iterable[Record]) -> pd.DataFrame:
@@ -99,12 +128,22 @@ def evaluation_at(record: Record, step: int) -> Evaluation | None:
 
 
 def column(record: Record) -> str:
-    """The name under which a record's dataset is compared: its method, or ``"proto (ExORL, 10M)"`` if it was imported.
+    """The name under which a record's dataset is compared: its method, and in brackets what keeps it apart from our own.
 
-    No profile fixes the size of an imported dataset; its steps are in the name, so that datasets of different sizes never share a cell.
+    ``"proto (ExORL, 10M)"`` was imported: no profile fixes the size of such a dataset; its steps are in the name, so that datasets of
+    different sizes never share a cell. ``"cudc (by ann)"`` was handed in by somebody and not run again here.
     """
-    dataset = record.dataset
-    return dataset.method if dataset.source is None else f"{dataset.method} ({dataset.source}, {short(dataset.steps)})"
+    dataset, apart = record.dataset, []
+    if dataset.source is not None:
+        apart += [dataset.source, short(dataset.steps)]
+    if record.submission is not None:
+        apart.append(f"by {record.submission.by}")
+    return f"{dataset.method} ({', '.join(apart)})" if apart else dataset.method
+
+
+def submitted_columns(records: Iterable[Record]) -> tuple[str, ...]:
+    """The columns of some records that somebody handed in, sorted."""
+    return tuple(sorted({column(record) for record in records if record.submission is not None}))
 
 
 def short(steps: float) -> str:
@@ -115,7 +154,8 @@ def short(steps: float) -> str:
     return f"{steps:.6g}"
 
 
-def _files(paths: Iterable[Path]) -> list[Path]:
+def files(paths: Iterable[Path]) -> list[Path]:
+    """Files, and every ``*.json`` below folders in sorted order, each once."""
     found: dict[str, Path] = {}
     for path in paths:
         for file in sorted(path.rglob("*.json")) if path.is_dir() else [path]:
@@ -125,27 +165,33 @@ def _files(paths: Iterable[Path]) -> list[Path]:
     return list(found.values())
 
 
-def _check(path: Path, record: Record) -> None:
-    """Refuse what fits the schema but cannot be a result, since records come from others too."""
+def impossible(record: Record) -> str | None:
+    """Why a record that fits the schema cannot be a result, since records come from others too; None if it can."""
     domain = DOMAINS.get(record.dataset.domain)
     limit = domain.max_return if domain and record.dataset.task in domain.tasks else _LARGEST
     largest = max(abs(value) for evaluation in (*record.curve, record.final) for value in evaluation.returns)
     steps = (*record.milestones, record.final.step)
     if largest > limit * (1 + 1e-6):
-        raise RunError(f"{path} is left out: a return of {largest:g} is impossible, the limit is {limit:g}.")
+        return f"a return of {largest:g} is impossible, the limit is {limit:g}."
     if min(steps) < 1 or max(steps) > _LARGEST:
-        raise RunError(f"{path} is left out: a number of gradient steps is not between 1 and {_LARGEST:g}.")
+        return f"a number of gradient steps is not between 1 and {_LARGEST:g}."
     if max(record.dataset.steps, record.dataset.used or 0) > _LARGEST_STEPS:
-        raise RunError(f"{path} is left out: no dataset has more than {_LARGEST_STEPS:,} steps.")
+        return f"no dataset has more than {_LARGEST_STEPS:,} steps."
     if not is_own_command(record.command):
         # Tables list it for people to run.
-        raise RunError(f"{path} is left out: its command is not one of cudc-bench: {record.command:.80}")
+        return f"its command is not one of cudc-bench: {record.command:.80}"
     try:
-        _created(record)
+        created(record)
     except (ValueError, OverflowError):
-        raise RunError(f"{path} is left out: its time of creation '{record.created}' is not ISO 8601.") from None
+        return f"its time of creation '{record.created}' is not ISO 8601."
+    return None
 
 
-def _created(record: Record) -> datetime:
+def created(record: Record) -> datetime:
+    """When a record was made.
+
+    Raises:
+        ValueError, OverflowError: it is no time.
+    """
     time = datetime.fromisoformat(record.created)
     return time if time.tzinfo else time.replace(tzinfo=UTC)

@@ -45,7 +45,8 @@ class Missing:
 def find_missing(tables: Iterable[Table]) -> list[Missing]:
     """What the tables of each group and algorithm lack of each other's methods and collector seeds, and of their domains' tasks.
 
-    A domain without any record is not asked for, and imported datasets are not: nobody can be told to make those.
+    A domain without any record is not asked for, and neither imported datasets nor what others handed in are:
+    nobody can be told to make those.
 
     Args:
         tables: as ``build_tables`` returns them.
@@ -57,7 +58,7 @@ def find_missing(tables: Iterable[Table]) -> list[Missing]:
 
 
 def _of_group(tables: Sequence[Table]) -> list[Missing]:
-    own = [record for table in tables for record in table.records if record.dataset.source is None]
+    own = [one for table in tables for one in table.records if one.dataset.source is None and one.submission is None]
     methods = dict.fromkeys(method for table in tables for method in table.methods if any(column(one) == method for one in own))
     seeds = sorted({record.dataset.seed for record in own})
     found = []

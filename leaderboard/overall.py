@@ -17,8 +17,9 @@ differ between methods: they are independent samples.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from statistics import fmean
 
 import numpy as np
@@ -28,14 +29,15 @@ from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from . import statistics
-from .load import column, short
-from .statistics import SIGNIFICANCE, Floats, Integers, Interval
-from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span
+from .load import column, short, submitted_columns
+from .statistics import SIGNIFICANCE, Counts, Floats, Integers, Interval
+from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span, submitted_caption
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
 ALL = "all domains"
 PRELIMINARY = "Preliminary: fewer than five seeds, whose intervals hold the truth less often than they say."
 Task = tuple[str, str]
+Resamples = Callable[[int, int, str], Counts]  # of so many seeds in so many blocks, by name
 
 
 @dataclass(frozen=True)
@@ -158,12 +160,14 @@ class Overall:
         group, algorithm: as of its tables.
         slug: a safe and unique name for files.
         comparisons: by milestone, the last first; for each all domains together and then, if there are several, each by itself.
+        submitted: methods that others handed in, and nobody ran again here.
     """
 
     group: str
     algorithm: str
     slug: str
     comparisons: tuple[Comparison, ...]
+    submitted: tuple[str, ...] = ()
 
     @property
     def headline(self) -> Comparison:
@@ -181,6 +185,7 @@ class Overall:
             " (datasets resampled with all their tasks; expanded percentiles; 10,000 resamples, fixed seed)."
             " In braces: the plain stratified bootstrap, which takes a dataset's tasks for independent and is too narrow."
             " A single seed has no interval."
+            + submitted_caption(self.submitted)
             + (f" {PRELIMINARY}" if any(comparison.preliminary for comparison in self.comparisons) else "")
         )
 
@@ -204,10 +209,15 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
     for table in tables:
         groups[table.records[0].group, table.algorithm].append(table)
     found = []
+    # Every milestone and algorithm draws the same for a method; they need no more memory than one of them.
+    resamples = cache(lambda n, blocks, name: statistics.counted(statistics.draw(n, blocks, name)))
     for group, algorithm in sorted(groups):
-        comparisons = _comparisons(groups[group, algorithm])
+        comparisons = _comparisons(groups[group, algorithm], resamples)
         if comparisons:
-            found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons))
+            compared = {method for comparison in comparisons for method in comparison.methods}
+            handed = submitted_columns(record for table in groups[group, algorithm] for record in table.records)
+            submitted = tuple(method for method in handed if method in compared)
+            found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons, submitted))
     return found
 
 
@@ -215,7 +225,7 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
 _Domain = dict[str, dict[str, dict[int, float]]]
 
 
-def _comparisons(tables: Sequence[Table]) -> tuple[Comparison, ...]:
+def _comparisons(tables: Sequence[Table], resamples: Resamples) -> tuple[Comparison, ...]:
     found = []
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
         domains, notes = {}, []
@@ -237,7 +247,7 @@ def _comparisons(tables: Sequence[Table]) -> tuple[Comparison, ...]:
         if len(domains) > 1:
             scopes += [(name, {name: results}) for name, results in domains.items()]
         for scope, part in scopes:
-            comparison = _compare(scope, milestone, part, notes if scope == ALL or len(domains) == 1 else [])
+            comparison = _compare(scope, milestone, part, notes if scope == ALL or len(domains) == 1 else [], resamples)
             if comparison is not None:
                 found.append(comparison)
     return tuple(found)
@@ -260,7 +270,9 @@ def _results(records: Sequence[Record], milestone: int) -> _Domain:
     return found
 
 
-def _compare(scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str]) -> Comparison | None:
+def _compare(
+    scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str], resamples: Resamples
+) -> Comparison | None:  # fmt: skip
     left_out = list(notes)
     every = ordered({method for results in domains.values() for method in results}, METHOD_ORDER)
     methods = []
@@ -287,7 +299,7 @@ def _compare(scope: str, milestone: int, domains: Mapping[str, _Domain], notes: 
             entering[method] = np.array(columns, np.float64).T, chosen
     if not entering:
         return None
-    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out])
+    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out], resamples)
 
 
 def _seeds(method: str, domains: Mapping[str, _Domain], tasks: Sequence[Task]) -> tuple[dict[str, tuple[int, ...]], list[str]]:
@@ -317,19 +329,19 @@ def _numbers(seeds: Sequence[int]) -> str:
 
 def _comparison(
     scope: str, milestone: int, tasks: tuple[Task, ...],
-    entering: Mapping[str, tuple[Floats, dict[str, tuple[int, ...]]]], left_out: Sequence[str],
+    entering: Mapping[str, tuple[Floats, dict[str, tuple[int, ...]]]], left_out: Sequence[str], resamples: Resamples,
 ) -> Comparison:  # fmt: skip
     names = list(dict.fromkeys(domain for domain, _ in tasks))
     blocks = np.array([names.index(domain) for domain, _ in tasks], np.int64)
     largest = np.array([DOMAINS[domain].max_return for domain, _ in tasks])
     scores = {method: returns / largest for method, (returns, _) in entering.items()}
     several = [method for method in scores if len(scores[method]) > 1]
-    draws = {method: statistics.draw(len(scores[method]), len(names), f"cluster {method}") for method in several}
-    found = {method: _estimates(method, scores[method], blocks, draws.get(method)) for method in scores}
+    draws = {method: resamples(len(scores[method]), len(names), f"cluster {method}") for method in several}
+    found = {method: _estimates(method, scores[method], blocks, draws.get(method), resamples) for method in scores}
     ranks = statistics.rank_shares(np.stack([found[method][1] for method in several])) if several else np.zeros((0, 0))
     standings = []
     for method, (returns, seeds) in entering.items():
-        resamples = draws.get(method)
+        counts = draws.get(method)
         standings.append(
             Standing(
                 method=method,
@@ -338,35 +350,32 @@ def _comparison(
                 seeds=seeds,
                 estimates=found[method][0],
                 profile=statistics.profile(scores[method], THRESHOLDS),
-                band=None if resamples is None else statistics.profile_band(scores[method], blocks, resamples, THRESHOLDS),
-                ranks=None if resamples is None else tuple(ranks[several.index(method)].tolist()),
+                band=None if counts is None else statistics.profile_band(scores[method], blocks, counts, THRESHOLDS),
+                ranks=None if counts is None else tuple(ranks[several.index(method)].tolist()),
             )
         )
     return Comparison(scope, milestone, tasks, tuple(standings), tuple(_pairs(scores, blocks, draws)), tuple(left_out))
 
 
-def _estimates(method: str, scores: Floats, blocks: Integers, draws: Integers | None) -> tuple[dict[str, Estimate], Floats]:
+def _estimates(
+    method: str, scores: Floats, blocks: Integers, counts: Counts | None, resamples: Resamples
+) -> tuple[dict[str, Estimate], Floats]:  # fmt: skip
     """Each aggregate, and the IQM of every resample."""
     values = {name: float(aggregate(scores)) for name, aggregate in statistics.AGGREGATES.items()}
-    if draws is None:
+    if counts is None:
         return {name: Estimate(value, None, None) for name, value in values.items()}, np.empty(0)
-
-    def every(one: Floats) -> Floats:
-        return np.stack([aggregate(one) for aggregate in statistics.AGGREGATES.values()], -1)
-
     n, tasks = scores.shape
-    cluster = statistics.resampled(scores, blocks, draws, every)
-    alone = np.arange(tasks)
-    stratified = statistics.resampled(scores, alone, statistics.draw(n, tasks, f"stratified {method}"), every)
-    expanded, plain_tail = statistics.tail([n] * draws.shape[1]), (1 - statistics.CONFIDENCE) / 2
+    cluster = statistics.bootstrapped(scores, blocks, counts)
+    stratified = statistics.bootstrapped(scores, np.arange(tasks), resamples(n, tasks, f"stratified {method}"))
+    expanded, plain_tail = statistics.tail([n] * len(counts)), (1 - statistics.CONFIDENCE) / 2
     estimates = {
-        name: Estimate(value, statistics.interval(cluster[:, i], expanded), statistics.interval(stratified[:, i], plain_tail))
-        for i, (name, value) in enumerate(values.items())
+        name: Estimate(value, statistics.interval(of_cluster, expanded), statistics.interval(of_stratified, plain_tail))
+        for (name, value), of_cluster, of_stratified in zip(values.items(), cluster, stratified, strict=True)
     }
-    return estimates, cluster[:, 0]
+    return estimates, cluster[0]
 
 
-def _pairs(scores: Mapping[str, Floats], blocks: Integers, draws: Mapping[str, Integers]) -> list[Pair]:
+def _pairs(scores: Mapping[str, Floats], blocks: Integers, draws: Mapping[str, Counts]) -> list[Pair]:
     methods = list(scores)
     found: dict[tuple[str, str], tuple[float, Interval | None, float | None]] = {}
     for index, x in enumerate(methods):

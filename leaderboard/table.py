@@ -20,7 +20,7 @@ from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.ids import domain_slug
 from cudc_bench.records import Record
 
-from .load import column, evaluation_at, plain, short
+from .load import column, evaluation_at, plain, short, submitted_columns
 from .statistics import SIGNIFICANCE, holm
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
@@ -105,6 +105,18 @@ class Table:
         return sorted({plain(record.command) for record in self.records})
 
     @property
+    def submissions(self) -> list[str]:
+        """What is known of the columns that were handed in: by how many runs, from where, of which commits."""
+        handed: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
+        for record in self.records:
+            if record.submission is not None:
+                handed[column(record), record.submission.url or "", record.submission.note or ""].append(record)
+        return [
+            plain("; ".join(filter(None, (f"{name}: {span([len(records)], 'run')}", origins(records), url, note))))
+            for (name, url, note), records in sorted(handed.items(), key=lambda entry: entry[0])
+        ]
+
+    @property
     def caption(self) -> str:
         """What the numbers are, in plain ASCII except for what records bring along."""
         steps = " and ".join(short(section.milestone) for section in self.sections)
@@ -118,8 +130,23 @@ class Table:
             " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
+            + submitted_caption(submitted_columns(self.records))
             + (" Preliminary: fewer than five seeds." if preliminary else "")
         )
+
+
+def submitted_caption(columns: Sequence[str]) -> str:
+    """What a caption says of columns that were handed in; empty if none was."""
+    return f" Submitted by others, and not run again here: {', '.join(columns)}." if columns else ""
+
+
+def origins(records: Iterable[Record]) -> str:
+    """The commits that some records say they were made with: ``"commit 0123456 with local changes, no commit"``."""
+    told = {
+        "no commit" if record.commit is None else f"commit {record.commit[:7]}{' with local changes' if record.dirty else ''}"
+        for record in records
+    }
+    return ", ".join(sorted(told))
 
 
 def build_tables(records: Iterable[Record]) -> tuple[list[Table], list[str]]:
@@ -153,7 +180,9 @@ def seed_scores(records: Iterable[Record], step: int) -> list[float]:
 
 
 def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
-    found = Counter(_milestones(record) for record in records)
+    # Nobody else's runs decide which of ours are odd.
+    ours = [record for record in records if record.submission is None]
+    found = Counter(_milestones(record) for record in ours or records)
     most = max(found, key=lambda milestones: (found[milestones], milestones))
     odd = [
         f"{record.dataset.id} (seed {record.seed}) is left out: its milestones {_listed(_milestones(record))} are not the"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -148,6 +149,10 @@ def _is_int(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _is_name(text: str) -> bool:
+    return re.fullmatch("[a-z0-9][a-z0-9_-]{0,31}", text) is not None
 
 
 def spoiled_names(good: list[str]) -> st.SearchStrategy[str]:
@@ -324,6 +329,13 @@ ATTACKS = [
     attack("leaderboard run --profile BAD", not_among(["smoke"]), "no record has the profile"),
     attack("leaderboard run --domain BAD", not_among(["walker"]), "no record has the domain"),
     attack("leaderboard run --algo BAD", not_among(["td3"]), "no record has the algo"),
+    attack("submit BAD --by ann", bad_paths.filter(lambda path: "file" not in path) | st.sampled_from(["nowhere", "folder", "a/b"]), ""),
+    attack("submit run --by BAD", not_among(["ann", "bob-2"]).filter(lambda name: not _is_name(name)), "--by"),
+    attack("submit run --by ann --url BAD", bad_paths | anything.map(lambda text: f"{text} https://"), "--url"),
+    attack(
+        "submit run --by ann --note BAD", spoiled(["a note"], DRIVING) | st.just("") | st.integers(301, 9_000).map("x".__mul__), "--note"
+    ),
+    attack("submit run --by ann --output BAD", bad_paths, "output"),
     attack("diagnostics BAD", plain_ids, "is not a dataset id"),
     attack("diagnostics --output BAD", bad_paths, "output"),
     attack("diagnostics --domain BAD", not_among(["walker"]), "no dataset has the domain"),

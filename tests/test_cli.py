@@ -24,8 +24,8 @@ from .conftest import Finished
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
-    "collect", "pilot", "import-exorl", "relabel", "evaluate", "render", "export", "leaderboard", "diagnostics", "stats", "verify", "list",
-    "doctor",
+    "collect", "pilot", "import-exorl", "relabel", "evaluate", "render", "export", "leaderboard", "submit", "diagnostics", "stats",
+    "verify", "list", "doctor",
 )  # fmt: skip
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.

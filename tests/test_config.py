@@ -29,8 +29,8 @@ from cudc_bench.config import (
     parse_settings,
 )
 from cudc_bench.errors import UsageError
-from cudc_bench.evaluators.loop import EvaluateConfig
 from cudc_bench.options import check_folder, format_seeds, parse_names, parse_seeds, parse_tasks
+from cudc_bench.protocol import EvaluateConfig
 
 CONFIGS = [
     CollectConfig,

@@ -14,9 +14,8 @@ from cudc_bench.collectors.loop import CollectConfig
 from cudc_bench.config import as_dict, build, config_hash, field_names
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import UsageError
-from cudc_bench.evaluators.api import check_milestones
-from cudc_bench.evaluators.loop import EvaluateConfig
 from cudc_bench.profiles import PROFILES, Profile, resolve_device, resolve_profile
+from cudc_bench.protocol import EvaluateConfig, check_milestones
 
 COLLECTORS = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
 EVALUATORS = {name: plugins.load("evaluators", name) for name in plugins.names("evaluators")}

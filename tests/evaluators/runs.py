@@ -5,10 +5,11 @@ import torch
 
 from cudc_bench.config import as_dict, config_hash
 from cudc_bench.envs import DOMAINS
-from cudc_bench.evaluators.loop import Arena, EvaluateConfig
+from cudc_bench.evaluators.loop import Arena
 from cudc_bench.evaluators.policies import save_policy
 from cudc_bench.evaluators.rollout import recorded_seeds
 from cudc_bench.manifest import RewardFunction
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.provenance import versions
 from cudc_bench.records import DatasetReference, Evaluation, Record, write_record
 

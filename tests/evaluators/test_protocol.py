@@ -15,9 +15,10 @@ from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.api import load_members
-from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
+from cudc_bench.evaluators.loop import Arena, run_evaluation
 from cudc_bench.evaluators.policies import load_policy, policy_path
 from cudc_bench.options import parse_sizes
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.records import Record, read_record
 from cudc_bench.seeding import episode_seed
 

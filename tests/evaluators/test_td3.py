@@ -8,7 +8,8 @@ import torch
 
 from cudc_bench.envs import DOMAINS, check_domain
 from cudc_bench.errors import RunError
-from cudc_bench.evaluators.loop import Arena, EvaluateConfig, run_evaluation
+from cudc_bench.evaluators.loop import Arena, run_evaluation
+from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.replay import Batch
 
 from .helpers import batch_for, make, random_walker_data

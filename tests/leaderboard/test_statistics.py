@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from importlib.util import find_spec
 
 import numpy as np
@@ -48,33 +49,40 @@ def test_rliable_has_the_same_estimates() -> None:
     assert ours.improvement(SCORES, other) == pytest.approx(metrics.probability_of_improvement(SCORES, other))
 
 
+def resampled(scores: np.ndarray, blocks: np.ndarray, draws: np.ndarray, statistic: Callable) -> np.ndarray:
+    """The statistic of each resample, gathered run by run: scores (n, T), draws (B, blocks, n) -> (B, ...)."""
+    return statistic(scores[draws[:, blocks].swapaxes(1, 2), np.arange(scores.shape[1])])
+
+
+def iqms(scores: np.ndarray, blocks: np.ndarray, draws: np.ndarray) -> np.ndarray:
+    return ours.bootstrapped(scores, blocks, ours.counted(draws))[0]
+
+
 def test_resamples_keep_a_datasets_tasks_together() -> None:
     scores = np.arange(5.0)[:, None] + 100 * np.arange(4)
     blocks = np.array([0, 0, 1, 1])
     draws = ours.draw(5, 2, "a", 200)
-    seen: list[np.ndarray] = []
-
-    def look(one: np.ndarray) -> np.ndarray:
-        seen.append(one)
-        return one.mean((-2, -1))
-
-    means = ours.resampled(scores, blocks, draws, look)
-    (samples,) = seen
+    samples = resampled(scores, blocks, draws, np.asarray)
     assert samples.shape == (200, 5, 4)
     seeds = samples - 100 * np.arange(4)
     assert (seeds[..., 0] == seeds[..., 1]).all()
     assert (seeds[..., 2] == seeds[..., 3]).all()
     assert (seeds[..., 1] != seeds[..., 2]).any()
     by_hand = [np.mean([scores[draws[b, blocks[t], i], t] for i in range(5) for t in range(4)]) for b in range(200)]
-    assert means == pytest.approx(by_hand)
-    assert ours.counted(draws)[3, 1].tolist() == [int((draws[3, 1] == seed).sum()) for seed in range(5)]
+    assert ours.bootstrapped(scores, blocks, ours.counted(draws))[2] == pytest.approx(by_hand)
+    assert ours.counted(draws)[1, :, 3].tolist() == [int((draws[3, 1] == seed).sum()) for seed in range(5)]
 
 
-def test_many_seeds_are_resampled_in_parts_to_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    draws = ours.draw(5, 3, "a", 100)
-    whole = ours.resampled(SCORES, BLOCKS, draws, ours.iqm)
-    monkeypatch.setattr(ours, "_CHUNK", 130)
-    assert (ours.resampled(SCORES, BLOCKS, draws, ours.iqm) == whole).all()
+@pytest.mark.parametrize("n", [1, 2, 5, 300])
+def test_aggregates_of_counts_are_those_of_the_resamples(n: int) -> None:
+    """Ties, scores beyond the largest and more seeds than a byte counts included."""
+    for scores in (RNG.random((n, 12)), np.round(RNG.random((n, 12)), 1), 1.5 * RNG.random((n, 12)) - 0.2):
+        for blocks in (BLOCKS, np.zeros(12, int), np.arange(12)):
+            draws = ours.draw(n, blocks.max() + 1, "a", 60)
+            found = ours.bootstrapped(scores, blocks, ours.counted(draws))
+            for name, values in zip(ours.AGGREGATES, found, strict=True):
+                expected = resampled(scores, blocks, draws, ours.AGGREGATES[name])
+                assert values == pytest.approx(expected, rel=1e-11, abs=1e-13), name
 
 
 def test_the_cluster_bootstrap_is_scipys_with_one_sample_of_seeds_for_each_domain() -> None:
@@ -86,7 +94,7 @@ def test_the_cluster_bootstrap_is_scipys_with_one_sample_of_seeds_for_each_domai
     theirs = stats.bootstrap(
         (np.arange(5),) * 3, statistic, n_resamples=20_000, vectorized=True, method="percentile", random_state=np.random.default_rng(0)
     )
-    distribution = ours.resampled(SCORES, BLOCKS, ours.draw(5, 3, "a", 20_000), ours.iqm)
+    distribution = iqms(SCORES, BLOCKS, ours.draw(5, 3, "a", 20_000))
     found = ours.interval(distribution, 0.025)
     # Quantiles of 20,000 resamples: the error of each is about sqrt(.025 * .975 / 20,000) / density, here 0.001.
     assert (found.low, found.high) == pytest.approx(tuple(theirs.confidence_interval), abs=0.006)
@@ -130,7 +138,7 @@ def coverage(correlation: float, repeats: int, resamples: int = 1_000) -> tuple[
         scores = simulated(generator, 5, correlation)
         for kind, (blocks, tail) in enumerate([(BLOCKS, ours.tail([5] * 3)), (np.arange(12), 0.025)]):
             draws = ours.draw(5, blocks.max() + 1, f"{kind} {repeat}", resamples)
-            found = ours.interval(ours.resampled(scores, blocks, draws, ours.iqm), tail)
+            found = ours.interval(iqms(scores, blocks, draws), tail)
             hits[kind] += found.low <= truth <= found.high
     return tuple(hits / repeats)
 
@@ -166,7 +174,8 @@ def test_the_interval_of_an_improvement_holds_the_truth() -> None:
     hits, repeats = 0, 400
     for repeat in range(repeats):
         x, y = simulated(generator, 5, 0.7) + 0.08, simulated(generator, 5, 0.7)
-        found = ours.improvement_interval(x, y, BLOCKS, ours.draw(5, 3, f"x {repeat}", 1_000), ours.draw(5, 3, f"y {repeat}", 1_000))
+        counts = [ours.counted(ours.draw(5, 3, f"{name} {repeat}", 1_000)) for name in "xy"]
+        found = ours.improvement_interval(x, y, BLOCKS, *counts)
         hits += found.low <= truth <= found.high
     print(f"probability of improvement: {hits / repeats:.3f}")
     assert hits / repeats == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / repeats))
@@ -184,7 +193,7 @@ def test_the_interval_of_an_improvement_is_that_of_its_resamples() -> None:
     x, y, blocks = np.round(RNG.random((5, 3)), 1), np.round(RNG.random((4, 3)), 1), np.array([0, 0, 1])
     x_draws, y_draws = ours.draw(5, 2, "x", 300), ours.draw(4, 2, "y", 300)
     values = [ours.improvement(x[a[blocks].T, np.arange(3)], y[b[blocks].T, np.arange(3)]) for a, b in zip(x_draws, y_draws, strict=True)]
-    found = ours.improvement_interval(x, y, blocks, x_draws, y_draws)
+    found = ours.improvement_interval(x, y, blocks, ours.counted(x_draws), ours.counted(y_draws))
     tail = ours.tail([5, 5, 4, 4])
     assert (found.low, found.high) == pytest.approx(tuple(np.quantile(values, [tail, 1 - tail])))
 
@@ -251,8 +260,8 @@ def test_profiles_by_hand() -> None:
 def test_the_band_of_a_profile_is_that_of_its_resamples() -> None:
     thresholds = np.linspace(0, 1, 7)
     draws = ours.draw(5, 3, "a", 400)
-    shares = ours.resampled(SCORES, BLOCKS, draws, lambda one: (one[..., None] > thresholds).mean((1, 2)))
-    low, high = ours.profile_band(SCORES, BLOCKS, draws, thresholds)
+    shares = resampled(SCORES, BLOCKS, draws, lambda one: (one[..., None] > thresholds).mean((1, 2)))
+    low, high = ours.profile_band(SCORES, BLOCKS, ours.counted(draws), thresholds)
     tail = ours.tail([5] * 3)
     assert low == pytest.approx(np.quantile(shares, tail, axis=0))
     assert high == pytest.approx(np.quantile(shares, 1 - tail, axis=0))
@@ -294,7 +303,7 @@ def test_everything_is_within_bounds_and_no_order_matters(x: np.ndarray, data: s
     assert ours.improvement_p(x[order], y, blocks) == pytest.approx(p)
     if n > 1:
         draws = ours.draw(n, blocks.max() + 1, "x", 100)
-        found = ours.interval(ours.resampled(x, blocks, draws, ours.iqm), ours.tail([n] * (blocks.max() + 1)))
+        found = ours.interval(iqms(x, blocks, draws), ours.tail([n] * (blocks.max() + 1)))
         assert x.min() - 1e-12 <= found.low <= found.high <= x.max() + 1e-12
-        low, high = ours.profile_band(x, blocks, draws, np.linspace(0, 1, 5))
+        low, high = ours.profile_band(x, blocks, ours.counted(draws), np.linspace(0, 1, 5))
         assert ((low >= 0) & (low <= high) & (high <= 1)).all()

@@ -1,0 +1,65 @@
+"""How an offline algorithm is trained and evaluated: what its run is told, and what its record must therefore hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from cudc_bench.config import LATER, PositiveInt, Precision, as_dict, build
+from cudc_bench.errors import UsageError
+from cudc_bench.profiles import Profile
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """How long an agent trains and how often it is evaluated (paper and ExORL).
+
+    Attributes:
+        gradient_steps: updates in all.
+        evaluate_every: updates between two evaluations; there is one before the first update and one after the last, too.
+        evaluation_episodes: episodes of each evaluation, with the deterministic policy.
+        final_episodes: episodes of a further evaluation after the last update, which tables use for the last milestone.
+        milestones: gradient steps whose scores go into tables; "computational efficiency" and "learning performance" in the paper.
+        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
+    """
+
+    gradient_steps: PositiveInt = 500_000
+    evaluate_every: PositiveInt = 10_000
+    evaluation_episodes: PositiveInt = 10
+    final_episodes: PositiveInt = 50
+    milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
+    precision: Precision = field(default="float32", metadata=LATER)
+
+
+def check_milestones(loop: EvaluateConfig) -> None:
+    """Refuse milestones at which nothing is evaluated.
+
+    Raises:
+        UsageError: names the milestone.
+    """
+    for milestone in loop.milestones:
+        on_the_way = milestone % loop.evaluate_every == 0 and milestone <= loop.gradient_steps
+        if not (on_the_way or milestone == loop.gradient_steps):
+            raise UsageError(
+                f"the milestone {milestone:,} is never evaluated: there is an evaluation every {loop.evaluate_every:,} steps "
+                f"up to {loop.gradient_steps:,}; set milestones=[a,b] to fit."
+            )
+
+
+def profile_values(profile: Profile, gradient_steps: int) -> dict[str, Any]:
+    """A profile's values for a training of that many steps: a schedule lasts as long as the run."""
+    return dict(profile.evaluate) | {"schedule_steps": gradient_steps}
+
+
+def plain_values(kind: Any, profile: Profile, gradient_steps: int) -> Mapping[str, Any]:
+    """All hyperparameters of an algorithm at a profile, from which a record's ``overrides`` say what differs.
+
+    Args:
+        kind: a registered evaluator.
+        profile: the set of hyperparameters.
+        gradient_steps: how long the run is.
+    """
+    return as_dict(build(EvaluateConfig, profile.evaluate), kind.configure(profile_values(profile, gradient_steps)), later=True)
