@@ -39,13 +39,14 @@ __all__ = [
     "pilot",
     "relabel",
     "render_policy",
+    "run_suite",
     "to_d3rlpy",
     "to_torchrl",
     "verify",
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "relabel", "evaluate", "load_policy", "render_policy", "export_policy", "make_leaderboard",
-    "draw_diagnostics", "measure_quality",
+    "draw_diagnostics", "measure_quality", "run_suite",
 )  # fmt: skip
 
 
