@@ -34,6 +34,10 @@ def run(
         str, typer.Option("--keep", help="datasets; or records: remove each dataset when all records of it are written.")
     ] = "datasets",
     checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    ray: Annotated[str | None, typer.Option("--ray", help="Run on a Ray cluster: auto, local, or host:port.")] = None,
+    ray_root: Annotated[str | None, typer.Option("--ray-root", help="Dataset root that all nodes share; otherwise each its own.")] = None,
+    ray_cpus: Annotated[int, typer.Option("--ray-cpus", help="CPUs that each Ray task takes.")] = 1,
+    ray_gpus: Annotated[float, typer.Option("--ray-gpus", help="GPUs that each Ray task takes, such as 0.5.")] = 0.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done and what it would cost, and do nothing.")] = False,
 ) -> None:
     """Run a whole study: collect, relabel, train and compare."""
@@ -41,21 +45,24 @@ def run(
 
     from cudc_bench.progress import say
 
-    from .api import check_keep, prepare, run_prepared
+    from .api import check_keep, make_cluster, prepare, run_prepared, shared_root
+    from .cluster import RETRIES
 
     check_keep(keep)
-    ready = prepare(
-        suite, methods=_names(methods), domains=_names(domains), tasks=_names(tasks), algos=_names(algos),
-        seeds=None if seeds is None else parse_seeds(seeds), profile=profile, output=output, report=report, device=device, workers=workers,
-        checkpoint_every=checkpoint_every,
-    )  # fmt: skip
-    if dry_run:
-        screen = Console(highlight=False)
-        screen.print(_table(ready))
-        for line in _costs(ready):
-            screen.print(line, markup=False, soft_wrap=True)
-        return
-    found = run_prepared(ready, keep)
+    cluster = make_cluster(ray, ray_root, ray_cpus, ray_gpus, RETRIES)
+    with shared_root(cluster):
+        ready = prepare(
+            suite, methods=_names(methods), domains=_names(domains), tasks=_names(tasks), algos=_names(algos),
+            seeds=None if seeds is None else parse_seeds(seeds), profile=profile, output=output, report=report, device=device,
+            workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
+        )  # fmt: skip
+        if dry_run:
+            screen = Console(highlight=False)
+            screen.print(_table(ready))
+            for line in _costs(ready):
+                screen.print(line, markup=False, soft_wrap=True)
+            return
+        found = run_prepared(ready, keep, cluster)
     if found.removed:
         say(f"removed {len(found.removed)} datasets; how to make them again is in {ready.common.folder / 'datasets'} and in each record")
     if found.leaderboard is not None:

@@ -193,7 +193,7 @@ def _attempt(job: Job, log: Path, common: Common, pipe: Connection) -> Ended:
                 pipe.send(Progress(done, total))
 
     try:
-        with _into(log):
+        with into(log):
             print(f"# {datetime.now(UTC).isoformat(timespec='seconds')}, process {os.getpid()}: {job.name}", file=sys.stderr, flush=True)
             return attempt(job, common, tell)
     except OSError as error:
@@ -220,7 +220,7 @@ def attempt(job: Job, common: Common, tell: Any) -> Ended:
 
 
 @contextmanager
-def _into(log: Path) -> Iterator[None]:
+def into(log: Path) -> Iterator[None]:
     """Send all that this process and its libraries print to the end of a file."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a") as file:

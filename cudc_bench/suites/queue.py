@@ -69,9 +69,13 @@ class Queue:
         if not ready:
             return None
         job = min(ready, key=self._rank)
+        self.take(job)
+        return job
+
+    def take(self, job: Job) -> None:
+        """It has started."""
         del self.waiting[job]
         self.running.add(job)
-        return job
 
     def _rank(self, job: Job) -> tuple[bool, float]:
         return self._few and job.kind in ("pilot", "collect"), -self._ways[job]

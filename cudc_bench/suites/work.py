@@ -197,19 +197,20 @@ class _Note(BaseModel):
     manifest: Manifest
 
 
-def _note_path(common: Common, dataset_id: str) -> Path:
+def note_path(common: Common, dataset_id: str) -> Path:
+    """Where the note of a dataset is that the suite made."""
     return common.folder / "datasets" / f"{dataset_id}.json"
 
 
 def _note(common: Common, dataset_id: str) -> None:
     note = _Note(suite=common.suite, manifest=read_manifest(dataset_id))
-    _write(_note_path(common, dataset_id), note.model_dump_json(indent=1))
+    _write(note_path(common, dataset_id), note.model_dump_json(indent=1))
 
 
 def is_ours(common: Common, dataset_id: str) -> bool:
     """Whether the dataset that stands there is the very one that this suite made."""
     try:
-        note = _Note.model_validate_json(_note_path(common, dataset_id).read_bytes())
+        note = _Note.model_validate_json(note_path(common, dataset_id).read_bytes())
     except (OSError, ValidationError):
         return False
     try:
