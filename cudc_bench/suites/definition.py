@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench import plugins
-from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError, nearest, unknown
 from cudc_bench.files import check_path, check_regular
 from cudc_bench.options import check_seeds, parse_seeds
@@ -51,7 +51,7 @@ class Study:
 
     Attributes:
         methods, domains: each method explores each domain.
-        tasks: of each domain; None for all of them.
+        tasks: each domain's own among these; None for all of them.
         algos: the offline algorithms that train; none for datasets alone.
         shares: of each dataset, from its beginning, that they train on.
         stats: whether to measure the datasets without training, too.
@@ -66,7 +66,7 @@ class Study:
 
     def tasks_of(self, domain: str) -> tuple[str, ...]:
         """The tasks of one of its domains."""
-        return check_tasks(check_domain(domain), self.tasks)
+        return tuple(task for task in check_domain(domain).tasks if self.tasks is None or task in self.tasks)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def narrow(
                 continue
             left = tuple(name for name in study.methods if methods is None or name in methods)
             wanted = tuple(task for task in study.tasks_of(domain) if tasks is None or task in tasks)
-            if left and wanted:
+            if left and (wanted or tasks is None):
                 one = replace(study, methods=left, domains=(domain,), tasks=wanted)
                 studies.append(replace(one, algos=tuple(algos)) if algos is not None and study.algos else one)
     if profile is not None:
@@ -207,8 +207,13 @@ def _study(found: _File, where: str) -> Study:
             plugins.check_name("collectors", method)
         for algo in study.algos:
             plugins.check_name("evaluators", algo)
+        there = list(dict.fromkeys(task for domain in study.domains for task in check_domain(domain).tasks))
+        for task in study.tasks or ():
+            if task not in there:
+                raise unknown("task", task, there)
         for domain in study.domains:
-            study.tasks_of(domain)
+            if (study.tasks is not None or study.algos) and not study.tasks_of(domain):
+                raise UsageError(f"no task is one of {domain}; it has: {', '.join(check_domain(domain).tasks) or 'none'}.")
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
     if found.dataset_shares is not None and not study.algos:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from cudc_bench import interrupts
 from cudc_bench.errors import RunError
@@ -56,9 +55,7 @@ class Retention:
                     tell(f"removed {base} and {len(removed) - 1} labelled from it ({size(count)}): all records of it are written")
 
 
-def run_locally(
-    queue: Queue, common: Common, workers: int, before: int, retention: Retention | None = None, context: Any = None
-) -> list[tuple[Failure, Path]]:
+def run_locally(queue: Queue, common: Common, workers: int, before: int, retention: Retention | None = None) -> list[tuple[Failure, Path]]:
     """Do all jobs of a queue, at most so many at once; a job that fails stops only those that need it.
 
     Args:
@@ -67,7 +64,6 @@ def run_locally(
         workers: processes; each has an equal share of the cores.
         before: jobs that were done before.
         retention: removes datasets; None keeps them.
-        context: how processes start; anew unless given.
 
     Returns:
         What failed, with its log.
@@ -116,10 +112,8 @@ def run_locally(
         with interrupts.leave_well(pass_on=partial(pass_on, signal.SIGTERM)), display.shown():
             while not queue.is_over:
                 if not interrupts.requested():
-                    now = time.monotonic()
-                    _give_out(
-                        queue, pool, workers, share, common, running, logs, [job for job, when in held.items() if when > now], context
-                    )
+                    not_now = [job for job, when in held.items() if when > time.monotonic()]
+                    _give_out(queue, pool, workers, share, common, running, logs, not_now)
                 elif not running:
                     break
                 display.refresh(running)
@@ -148,7 +142,7 @@ def run_locally(
 
 def _give_out(
     queue: Queue, pool: list[Worker], workers: int, share: int, common: Common, running: dict[Job, Running], logs: Path,
-    not_now: list[Job], context: Any,
+    not_now: list[Job],
 ) -> None:  # fmt: skip
     """Give each worker that is idle a job, as far as there are any; a worker that died is replaced."""
     while len(running) < workers and (job := queue.start(not_now)) is not None:
@@ -157,7 +151,7 @@ def _give_out(
             dead.close()
         idle = next((worker for worker in pool if worker.job is None), None)
         if idle is None:
-            idle = Worker(share, common, context)
+            idle = Worker(share, common)
             pool.append(idle)
         running[job] = Running(job, time.monotonic(), queue.seconds[job])
         idle.give(job, logs / f"{job.slug}.log")
