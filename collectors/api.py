@@ -27,10 +27,11 @@ from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
 from cudc_bench.provenance import command_line, origin, stamp
 from cudc_bench.runlog import LogTarget, check_log, open_log
+from cudc_bench.stages import Planned
 
 from .journal import DIAGNOSTICS, Journal
 from .loop import run_collection
-from .setting import Setting, say_whose_values, settle
+from .setting import NoThresholdError, Setting, say_whose_values, settle
 
 
 def collect(
@@ -130,6 +131,34 @@ def collect(
         for _, one in run.members:
             say(f"wrote {one} to {dataset_path(one)}")
     return [str(one) for one in ids]
+
+
+def plan_collect(
+    method: str, domain: str, seeds: Sequence[int], *, profile: str, settings: Mapping[str, Any] | None = None
+) -> list[Planned]:
+    """What :func:`collect` would make with the same arguments, for each seed; nothing is written.
+
+    Raises:
+        UsageError: wrong input, or something else stands at an id.
+    """
+    chosen = resolve_profile(profile)
+    pilot = False
+    try:
+        setting = settle(method, domain, chosen, settings)
+    except NoThresholdError:
+        pilot, setting = True, settle(method, domain, chosen, settings, piloting=True)
+    found = []
+    for seed in check_seeds(seeds):
+        one = default_id(domain, method, seed)
+        done = not pilot and _is_made(setting, seed, one)
+        if not pilot:
+            try:
+                check_free(one, done)
+            except UsageError as error:
+                there = str(error).partition("; ")[0]
+                raise UsageError(f"{there} in {datasets_root()} and is of another run; take another root (MINARI_DATASETS_PATH).") from None
+        found.append(Planned(str(one), seed, setting.loop.steps, done, setting.overrides, pilot))
+    return found
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,10 @@ from .loop import CollectConfig
 from .thresholds import find_threshold
 
 
+class NoThresholdError(UsageError):
+    """A method needs a threshold that no pilot has measured yet."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One method on one domain.
@@ -66,7 +70,8 @@ def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, An
         piloting: put 0 in the place of the threshold that a pilot is about to measure.
 
     Raises:
-        UsageError: wrong input, settings that do not fit each other, or a threshold that no pilot has measured yet.
+        UsageError: wrong input, or settings that do not fit each other.
+        NoThresholdError: no pilot has measured the threshold yet.
     """
     kind = plugins.load("collectors", method)
     length = check_domain(domain).episode_length
@@ -81,7 +86,9 @@ def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, An
         if found is None and not piloting:
             options = {"--method": method, "--domain": domain, "--profile": profile.name}
             command = command_line("pilot", options, overrides)
-            raise UsageError(f"{method} needs {name}, which nobody measured for {domain} yet; run: {command}, or give --set {name}=VALUE.")
+            raise NoThresholdError(
+                f"{method} needs {name}, which nobody measured for {domain} yet; run: {command}, or give --set {name}=VALUE."
+            )
         value = {name: 0.0 if found is None else found.value}
         config, plain = kind.configure(domain, profile.collect, settings | value), plain | value
     setting = Setting(method, domain, profile.name, kind, loop, config, changed(as_dict(loop, config), plain), found)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cudc_bench.config import as_dict, config_hash
 from cudc_bench.errors import RunError
 from cudc_bench.files import check_file, check_regular, unwritable, write_atomically
+from cudc_bench.locks import locked
 from cudc_bench.manifest import Pilot
 
 from .loop import CollectConfig
@@ -62,13 +63,15 @@ def write_thresholds(path: Path, found: Iterable[Pilot]) -> None:
     Raises:
         RunError: the file is damaged or cannot be written.
     """
-    kept = {pilot.key: pilot for pilot in read_thresholds(path)} | {pilot.key: pilot for pilot in found}
-    ordered = sorted(kept.values(), key=lambda pilot: (pilot.domain, pilot.method, pilot.profile, pilot.key))
-    content = json.dumps(_File(thresholds=ordered).model_dump(mode="json"), indent=1, ensure_ascii=False)
-    try:
-        write_atomically(path, f"{content}\n")
-    except OSError as error:
-        raise unwritable(path, error) from None
+    # Several pilots may end at the same time, and none may lose what another has just added.
+    with locked(path.with_name(f".{path.name}.lock"), str(path), patience=60.0):
+        kept = {pilot.key: pilot for pilot in read_thresholds(path)} | {pilot.key: pilot for pilot in found}
+        ordered = sorted(kept.values(), key=lambda pilot: (pilot.domain, pilot.method, pilot.profile, pilot.key))
+        content = json.dumps(_File(thresholds=ordered).model_dump(mode="json"), indent=1, ensure_ascii=False)
+        try:
+            write_atomically(path, f"{content}\n")
+        except OSError as error:
+            raise unwritable(path, error) from None
 
 
 def settings_key(kind: Any, method: str, domain: str, loop: CollectConfig, config: Any) -> str:

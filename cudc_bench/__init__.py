@@ -39,6 +39,7 @@ __all__ = [
     "pilot",
     "relabel",
     "render_policy",
+    "run_suite",
     "submit",
     "to_d3rlpy",
     "to_torchrl",
@@ -46,7 +47,7 @@ __all__ = [
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "relabel", "evaluate", "load_policy", "render_policy", "export_policy", "make_leaderboard",
-    "submit", "draw_diagnostics", "measure_quality",
+    "submit", "draw_diagnostics", "measure_quality", "run_suite",
 )  # fmt: skip
 
 

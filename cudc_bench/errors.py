@@ -26,6 +26,10 @@ class RunError(CudcBenchError):
     """Work that had started could not be finished; what was complete before is kept."""
 
 
+class HeldError(RunError):
+    """Another process is at work on the same thing; later, it will not be."""
+
+
 class BrokenDownError(RunError):
     """The work itself went wrong, not what is around it: continued from where it stood, it would go wrong again."""
 

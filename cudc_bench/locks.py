@@ -11,27 +11,36 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
-from cudc_bench.errors import RunError
+from cudc_bench.errors import HeldError
 from cudc_bench.files import lives, unwritable
 
 _MISSING = 100  # times that its folder may vanish before the lock is given up: those above it may be gone
 
 
 @contextmanager
-def locked(path: Path, what: str) -> Iterator[None]:
+def locked(path: Path, what: str, patience: float = 0.0) -> Iterator[None]:
     """Hold a lock file, which is removed in the end; one that a dead process left is taken over.
 
     Args:
         path: of the lock file; its folder is made.
         what: it protects, for the message.
+        patience: seconds to wait for whoever holds it.
 
     Raises:
-        RunError: a living process holds it, or it cannot be written.
+        HeldError: a living process holds it.
+        RunError: it cannot be written.
     """
-    try:
-        file = _take(path, what)
-    except OSError as error:
-        raise unwritable(what, error) from None
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            file = _take(path, what)
+            break
+        except HeldError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
+        except OSError as error:
+            raise unwritable(what, error) from None
     with file:
         try:
             yield
@@ -69,7 +78,7 @@ def _take(path: Path, what: str) -> IO[str]:
             except BlockingIOError:
                 if (holder := _holder(file)) is None:
                     continue  # it has just left
-                raise RunError(f"{holder} is writing {what}; wait for it to end.") from None
+                raise HeldError(f"{holder} is writing {what}; wait for it to end.") from None
             if not _is_at(path, file):
                 continue  # the holder before us removed it after we had opened it; others lock a new file of that name
             try:

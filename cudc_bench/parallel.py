@@ -26,6 +26,7 @@ from cudc_bench.progress import Advance, bars
 # In a worker process:
 _queue: Any = None  # where progress is reported
 _busy = False  # whether it has a job
+_share: int | None = None  # of the machine's cores, where other processes have the rest
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,18 @@ def worker_count(asked: int | None, jobs: int) -> int:
 
 def cores() -> int:
     """Cores that this process may use."""
+    return _share or all_cores()
+
+
+def all_cores() -> int:
+    """Cores that the system lets this process use, whatever was agreed with others."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def use_cores(count: int) -> None:
+    """Let what this process runs take only so many cores."""
+    global _share
+    _share = count
 
 
 def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, workers: int, threads: int | None) -> list[Any]:
@@ -159,19 +171,27 @@ def _start_worker(queue: Any) -> None:
     _queue = queue
     signal.signal(signal.SIGTERM, lambda number, _: interrupts.ask(number))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent(lambda: _busy)
 
 
-def _leave_with_parent() -> None:
-    """End this worker when the process that wants its results was killed: at once if it is idle, else when its job has saved its state."""
+def leave_with_parent(busy: Callable[[], bool]) -> None:
+    """End this worker when the process that wants its results was killed: at once if it is idle, else when its job has saved its state.
+
+    Args:
+        busy: whether there is a job that will save its state.
+    """
     parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    parent.join()
-    interrupts.ask(signal.SIGTERM)
-    while _busy:
-        time.sleep(0.05)
-    os._exit(1)
+
+    def wait_and_leave() -> None:
+        if parent is None:
+            return
+        parent.join()
+        interrupts.ask(signal.SIGTERM)
+        while busy():
+            time.sleep(0.05)
+        os._exit(1)
+
+    threading.Thread(target=wait_and_leave, daemon=True).start()
 
 
 def _work(function: Callable[..., Any], job: Job, index: int, threads: int) -> Any:

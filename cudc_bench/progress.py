@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 Advance = Callable[[int], None]
+Listener = Callable[[int, int], None]
+_listener: Listener | None = None  # who else wants to know
 _LINE_EVERY = 30.0  # seconds between two lines of a task where there is no terminal to draw a bar on
 
 
@@ -33,6 +35,38 @@ def say(message: str) -> None:
 
 
 @contextmanager
+def told(listener: Listener) -> Iterator[None]:
+    """Within this context, tell somebody of all progress: how much of the present work is done, and how much there is of it.
+
+    Args:
+        listener: called with both whenever work advances.
+    """
+    global _listener
+    before, _listener = _listener, listener
+    try:
+        yield
+    finally:
+        _listener = before
+
+
+def _telling(advances: list[Advance], total: int) -> list[Advance]:
+    if _listener is None:
+        return advances
+    listener, done = _listener, 0
+
+    def telling(advance: Advance) -> Advance:
+        def tell(n: int) -> None:
+            nonlocal done
+            done += n
+            advance(n)
+            listener(done, total)
+
+        return tell
+
+    return [telling(one) for one in advances]
+
+
+@contextmanager
 def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
     """Show one progress bar with its time left for each task; in a log file, a line every half minute.
 
@@ -44,7 +78,7 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
         For each task, a function that is told by how much it advanced.
     """
     if not console().is_terminal:
-        yield [_Lines(description, total, unit).advance for description, total in tasks]
+        yield _telling([_Lines(description, total, unit).advance for description, total in tasks], sum(total for _, total in tasks))
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

@@ -6,7 +6,9 @@ its registered name, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from cudc_bench import plugins
 from cudc_bench.envs import check_domain, check_tasks
@@ -16,6 +18,27 @@ from cudc_bench.ids import DatasetId, default_id, parse_id
 from cudc_bench.manifest import Manifest, exists, read_manifest
 from cudc_bench.profiles import resolve_profile
 from cudc_bench.progress import say
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One thing that a stage would make if it were asked to.
+
+    Attributes:
+        place: the dataset's id, or the record's path.
+        seed: its member's.
+        total: environment or gradient steps of the work.
+        done: whether it exists and is of this very run, so that the stage would keep it.
+        overrides: hyperparameters that differ from the profile.
+        needs_pilot: whether a threshold must be measured first; ``done`` is not known before.
+    """
+
+    place: str
+    seed: int
+    total: int
+    done: bool
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    needs_pilot: bool = False
 
 
 def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: str) -> list[DatasetId]:
@@ -62,15 +85,7 @@ def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomR
         UsageError: wrong input.
         RunError: a relabelled dataset exists that was made from another base.
     """
-    base = read_manifest(base_id)
-    wanted = check_tasks(check_domain(base.domain), tasks) if reward is None else (reward.name,)
-    ids = {task: parse_id(base_id).for_task(task) for task in wanted}
-    option = "" if reward is None else f" --reward {reward.reference}"
-    for one in ids.values():
-        if exists(one):
-            there = read_manifest(one).base
-            if there is None or there.fingerprint != base.fingerprint:
-                raise RunError(f"'{one}' was made from another '{base_id}'; run: cudc-bench relabel {base_id}{option} --overwrite.")
+    ids = check_relabelled(base_id, tasks, reward)
     missing = [task for task, one in ids.items() if not exists(one)]
     if missing:
         say(f"{', '.join(str(ids[task]) for task in missing)} missing: relabelling first")
@@ -80,6 +95,25 @@ def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomR
         else:
             relabel(base_id, reward=reward.reference)
     return [str(one) for one in ids.values()]
+
+
+def check_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None) -> dict[str, DatasetId]:
+    """The ids of a dataset relabelled for tasks by task, whether they exist or not.
+
+    Raises:
+        UsageError: wrong input.
+        RunError: a relabelled dataset exists that was made from another base.
+    """
+    base = read_manifest(base_id)
+    wanted = check_tasks(check_domain(base.domain), tasks) if reward is None else (reward.name,)
+    ids = {task: parse_id(base_id).for_task(task) for task in wanted}
+    option = "" if reward is None else f" --reward {reward.reference}"
+    for one in ids.values():
+        if exists(one):
+            there = read_manifest(one).base
+            if there is None or there.fingerprint != base.fingerprint:
+                raise RunError(f"'{one}' was made from another '{base_id}'; run: cudc-bench relabel {base_id}{option} --overwrite.")
+    return ids
 
 
 def check_reward(manifest: Manifest, dataset_id: str, reward: CustomReward | None) -> None:

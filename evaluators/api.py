@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from cudc_bench.files import remove_empty_above
 from cudc_bench.ids import datasets_root, default_id, parse_id
 from cudc_bench.learner import check_precision
 from cudc_bench.locks import locked
-from cudc_bench.manifest import Manifest, read_manifest
+from cudc_bench.manifest import Manifest, exists, read_manifest
 from cudc_bench.networks import MemberRandom
 from cudc_bench.options import CHECKPOINT_EVERY, LOG_DIR, check_folder, check_seeds
 from cudc_bench.parallel import Job, run_jobs, worker_count
@@ -42,7 +43,7 @@ from cudc_bench.records import (
 )
 from cudc_bench.replay import Episodes
 from cudc_bench.runlog import LogTarget, check_log, open_log
-from cudc_bench.stages import check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
+from cudc_bench.stages import Planned, check_collected, check_profile, check_reward, ensure_collected, ensure_relabelled
 
 from .loop import Arena, Outcome, run_evaluation
 from .policies import save_policy
@@ -422,16 +423,67 @@ def _done(run: Run) -> bool:
     Raises:
         UsageError: another run stands in its place.
     """
-    if not run.path.exists():
+    return _is_recorded(run.path, run.plan, run.used, lambda dataset: dataset.fingerprint == run.manifest.fingerprint)
+
+
+def _is_recorded(path: Path, plan: Plan, used: int | None, is_same: Callable[[DatasetReference], bool]) -> bool:
+    """Whether a record is there, of this training on the same data.
+
+    Raises:
+        UsageError: another run stands in its place.
+    """
+    if not path.exists():
         return False
     try:
-        record = read_record(run.path)
+        record = read_record(path)
     except RunError as error:
         raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
-    same = (run.manifest.fingerprint, config_hash(run.plan.values), run.used)
-    if (record.dataset.fingerprint, record.hyperparameters_hash, record.dataset.used) == same:
+    if (record.hyperparameters_hash, record.dataset.used) == (config_hash(plan.values), used) and is_same(record.dataset):
         return True
-    raise UsageError(f"{run.path} records another run (other data or settings); use --overwrite or another --output.")
+    raise UsageError(f"{path} records another run (other data or settings); use --overwrite or another --output.")
+
+
+def plan_evaluate(
+    algo: str, domain: str, tasks: Sequence[str] | None, method: str, seeds: Sequence[int], *, profile: str,
+    settings: Mapping[str, Any] | None = None, used: int | None = None, output: str | Path = "results",
+    collected: Mapping[str, Any] | None = None,
+) -> list[Planned]:  # fmt: skip
+    """What :func:`evaluate` would make with the same arguments, for each seed and task; nothing is written, and no dataset need exist.
+
+    A record whose dataset is gone counts if it says that its dataset was collected like this.
+
+    Args:
+        algo, domain, tasks, method, seeds, profile, settings, output: as for :func:`evaluate`.
+        used: the number of transitions to train on, if not all.
+        collected: hyperparameters of the collection that differ from the profile.
+
+    Raises:
+        UsageError: wrong input, or another run is recorded in such a place.
+        RunError: a record is damaged.
+    """
+    chosen = resolve_profile(profile)
+    (plan,) = _plans([algo], chosen, dict(settings or {}), None)
+    results = check_folder(output, "the output")
+    found = []
+    for seed in check_seeds(seeds):
+        for task in check_tasks(check_domain(domain), tasks):
+            one = default_id(domain, method, seed).for_task(task)
+            path = record_path(results, str(one), algo, seed, chosen.name, used)
+            if exists(one):
+                done = _done(Run(plan, str(one), read_manifest(one), used, path))
+            else:
+                made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
+                done = _is_recorded(path, plan, used, partial(_is_of, made))
+            found.append(Planned(str(path), seed, plan.loop.gradient_steps, done, plan.overrides))
+    return found
+
+
+def _is_of(made: tuple[Any, ...], dataset: DatasetReference) -> bool:
+    there = (
+        dataset.id, dataset.domain, dataset.task, dataset.method, dataset.seed, dataset.profile, dataset.overrides, dataset.reward,
+        dataset.source,
+    )  # fmt: skip
+    return there == made
 
 
 def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import shutil
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ import cudc_bench
 import cudc_bench.data.writer
 from cudc_bench import cli
 from cudc_bench.data.reader import verify_fingerprint
+from cudc_bench.suites import scheduler
+from cudc_bench.suites.pool import Worker
 
 COLLECT = ["collect", "--set", "steps=3300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
 COMMANDS = {
@@ -42,7 +46,17 @@ COMMANDS = {
         "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=400", "--set", "evaluate_every=200",
         "--set", "milestones=[200,400]", "--checkpoint-every", "0.05",
     ],
+    "suite": ["run", "suite.toml", "--checkpoint-every", "0"],
 }  # fmt: skip
+SUITE = """
+methods = ["random", "icm"]
+domains = ["jaco"]
+tasks = ["reach_top_left"]
+algos = ["bc"]
+seeds = 1
+collect = { steps = 1500, seed_steps = 500, update_every = 30 }
+evaluate = { gradient_steps = 40, evaluate_every = 40, milestones = [40], final_episodes = 1 }
+"""
 # The calls by which a run changes what is on the disk, by what they belong to.
 CALLS = {
     "mkdir": (os, "mkdir"),
@@ -162,7 +176,8 @@ class Killer:
         """Every file below the folder, hidden ones included; of JSON and weights what does not tell the time."""
         found = {}
         for path in sorted(self.folder.rglob("*")):
-            if path.is_dir() or path.name == "said":
+            # Of what a suite keeps for itself, nothing goes into a result: logs, and who made a dataset.
+            if path.is_dir() or path.name == "said" or ".suite" in path.parts:
                 continue
             if path.suffix == ".json":
                 content = json.dumps(_timeless(json.loads(path.read_text())), sort_keys=True).encode()
@@ -219,6 +234,10 @@ def run(what: str, kills: int, seed: int = 0) -> dict[str, Any]:
         cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
         cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
         needed.mkdir()
+        if what == "suite":
+            # Its workers, too, are forked from what has imported everything.
+            scheduler.Worker = partial(Worker, context=multiprocessing.get_context("fork"))  # type: ignore[assignment, misc]
+            (needed / "suite.toml").write_text(SUITE)
         if what in ("relabel", "evaluate"):
             (base / "first").rename(needed / "datasets")
         if what == "relabel":

@@ -23,6 +23,7 @@ from cudc_bench import plugins
 from cudc_bench.cli import main
 from cudc_bench.envs import DOMAINS
 from cudc_bench.profiles import PROFILES
+from cudc_bench.suites.definition import suite_names
 
 from .evaluators.runs import write_run
 
@@ -189,6 +190,7 @@ def attack(line: str, bad: st.SearchStrategy[str], says: str) -> Attack:
     return Attack(line, bad, says)
 
 
+MAIN = ["random", "icm", "apt", "proto", "aps", "cudc"]
 methods, algos = plugins.names("collectors"), plugins.names("evaluators")
 profiles, devices = [*PROFILES, "auto"], ["auto", "cpu", "cuda"]
 tasks = [*DOMAINS["walker"].tasks, "all"]
@@ -309,6 +311,24 @@ ATTACKS = [
         "--checkpoint-every",
     ),
     attack("MINARI_DATASETS_PATH=BAD evaluate --task walk", bad_roots, "dataset root"),
+    attack("run BAD", not_among(suite_names()).filter(lambda text: not text.startswith("-")), "suite"),
+    attack("run BAD.toml", bad_paths.filter(lambda path: not path.startswith("-")), "suite"),
+    attack("run main --methods BAD", spoiled_names([*MAIN, "nothing"]), "method"),
+    attack("run main --domains BAD", spoiled_names(["walker", "quadruped", "jaco"]), "domain"),
+    attack("run main --tasks BAD", spoiled_names([*tasks, "jump"]).filter(lambda text: not {"all"} & set(splits(text))), "task"),
+    attack("run main --algos BAD", spoiled_names(algos), "algo"),
+    attack("run main --seeds BAD", bad_seeds, "--seeds cannot"),
+    attack("run main --profile BAD", not_among([*profiles, ""]), "unknown profile"),
+    attack("run main --output BAD", bad_paths, "output"),
+    attack("run main --report BAD", bad_paths, "report"),
+    attack("run main --device BAD", not_among(devices), "unknown device"),
+    attack("run main --workers BAD", below_one, "--workers"),
+    attack("run main --keep BAD", not_among(["datasets", "records"]), "--keep"),
+    attack("run main --ray BAD", anything.map(lambda text: f"{text}?".replace(":", ".")), "--ray"),
+    attack("run main --ray-root folder --ray-cpus BAD", below_one | st.integers(1, 99).map(str), "--ray"),
+    attack("run main --ray-gpus BAD", no_number | st.floats(max_value=-1e-300).map(repr), "--ray"),
+    attack("run my.toml BAD --dry-run", anything.map(lambda text: f"{text}?"), ""),
+    attack("MINARI_DATASETS_PATH=BAD run main", bad_roots, "dataset root"),
     attack("render BAD --output video.gif", missing_records, "record"),
     attack("render run/td3-seed1.json --output video.gif --episodes BAD", below_one | beyond, "--episodes"),
     attack("render run/td3-seed1.json --output video.gif --seed BAD", negative, "seed"),

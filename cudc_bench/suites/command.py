@@ -1,0 +1,138 @@
+"""``cudc-bench run``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cudc_bench.errors import RunError
+from cudc_bench.options import CHECKPOINT_EVERY, CheckpointEveryOption, DeviceOption, WorkersOption, parse_names, parse_seeds
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from .api import Prepared
+
+
+def run(
+    suite: Annotated[str, typer.Argument(help="A suite by name, or a file of your own that ends in .toml.")],
+    methods: Annotated[str | None, typer.Option("--methods", "--method", help="Only these of its collectors, by commas.")] = None,
+    domains: Annotated[str | None, typer.Option("--domains", "--domain", help="Only these of its domains.")] = None,
+    tasks: Annotated[str | None, typer.Option("--tasks", "--task", help="Only these of its tasks.")] = None,
+    algos: Annotated[str | None, typer.Option("--algos", "--algo", help="These offline algorithms instead of its own.")] = None,
+    seeds: Annotated[str | None, typer.Option("--seeds", "--seed", help="These seeds instead of its own, such as 1-3.")] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option("--profile", envvar="CUDC_BENCH_PROFILE", help="Instead of its own: paper, cpu, demo, smoke, or auto."),
+    ] = None,
+    output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
+    report: Annotated[str, typer.Option("--report", help="Folder of the leaderboard.")] = "report",
+    device: DeviceOption = "auto",
+    workers: WorkersOption = None,
+    keep: Annotated[
+        str, typer.Option("--keep", help="datasets; or records: remove each dataset when all records of it are written.")
+    ] = "datasets",
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    ray: Annotated[str | None, typer.Option("--ray", help="Run on a Ray cluster: auto, local, or host:port.")] = None,
+    ray_root: Annotated[str | None, typer.Option("--ray-root", help="Dataset root that all nodes share; otherwise each its own.")] = None,
+    ray_cpus: Annotated[int, typer.Option("--ray-cpus", help="CPUs that each Ray task takes.")] = 1,
+    ray_gpus: Annotated[float, typer.Option("--ray-gpus", help="GPUs that each Ray task takes, such as 0.5.")] = 0.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done and what it would cost, and do nothing.")] = False,
+) -> None:
+    """Run a whole study: collect, relabel, train and compare."""
+    from rich.console import Console
+
+    from cudc_bench.progress import say
+
+    from .api import check_keep, make_cluster, prepare, run_prepared, shared_root
+    from .cluster import RETRIES
+
+    check_keep(keep)
+    cluster = make_cluster(ray, ray_root, ray_cpus, ray_gpus, RETRIES)
+    with shared_root(cluster):
+        ready = prepare(
+            suite, methods=_names(methods), domains=_names(domains), tasks=_names(tasks), algos=_names(algos),
+            seeds=None if seeds is None else parse_seeds(seeds), profile=profile, output=output, report=report, device=device,
+            workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
+        )  # fmt: skip
+        if dry_run:
+            screen = Console(highlight=False)
+            screen.print(_table(ready))
+            for line in _costs(ready):
+                screen.print(line, markup=False, soft_wrap=True)
+            return
+        found = run_prepared(ready, keep, cluster)
+    if found.removed:
+        say(f"removed {len(found.removed)} datasets; how to make them again is in {ready.common.folder / 'datasets'} and in each record")
+    if found.leaderboard is not None:
+        for problem in found.leaderboard.problems:
+            say(f"problem: {problem}")
+        for file in found.leaderboard.files:
+            print(file)
+    if found.failed:
+        for line in found.failed:
+            say(f"failed: {line}")
+        raise RunError(f"{len(found.failed)} jobs failed, see above; the same command tries them again.")
+    say(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else parse_names(text)
+
+
+def _table(ready: Prepared) -> Table:
+    """What is there and what is to do, a line for each method and domain."""
+    from rich.table import Table
+
+    from .display import duration
+    from .jobs import KINDS
+
+    plan, done = ready.found.plan, ready.found.done
+    left = plan.left(done).needs
+    table = Table(
+        title=f"suite {ready.suite.name}, profile {ready.common.profile}: to make / all", title_justify="left", title_style="bold"
+    )
+    for column in ("domain", "method", *KINDS, "time"):
+        table.add_column(column, justify="left" if column in ("domain", "method") else "right")
+    for domain, methods in dict.fromkeys((job.domain, job.methods) for job in plan.needs):
+        mine = [job for job in plan.needs if (job.domain, job.methods) == (domain, methods)]
+        cells = []
+        for kind in KINDS:
+            some = [job for job in mine if job.kind == kind]
+            cells.append(f"{sum(job in left for job in some)} / {len(some)}" if some else "")
+        times = [ready.estimates.seconds(job) for job in mine if job in left]
+        time = "unknown" if None in times else duration(sum(one for one in times if one is not None)) if times else ""
+        table.add_row(domain, methods[0] if len(methods) == 1 else "all together", *cells, time)
+    return table
+
+
+def _costs(ready: Prepared) -> list[str]:
+    from .display import duration, size
+
+    queue, estimates = ready.queue(), ready.estimates
+    jobs = list(queue.plan.needs)
+    lines = [f"{len(jobs)} jobs to do, {len(ready.found.plan.needs) - len(jobs)} done or not needed any more; datasets in {_root()}"]
+    if not jobs:
+        return lines
+    unknown = sorted({job.algo or job.method for job in jobs if estimates.seconds(job) is None})
+    if unknown:
+        lines.append(f"time: nobody has measured {', '.join(unknown)} at the profile {ready.common.profile} on {ready.common.device} yet")
+    else:
+        sources = sorted({source for job in jobs if (source := estimates.source(job))})
+        about = duration(queue.seconds_left(ready.workers, {}))
+        lines.append(f"time: about {about} with {ready.workers} at a time ({'; '.join(sources) or 'short'})")
+    datasets = sum(estimates.size(job) for job in jobs if job.kind in ("collect", "relabel"))
+    records = sum(estimates.size(job) for job in jobs if job.kind == "evaluate")
+    one = max((estimates.size(job) for job in jobs if job.kind == "collect"), default=0)
+    lines.append(
+        f"disk: about {size(datasets)} of datasets and {size(records)} of records; with --keep records only some datasets at a time,"
+        f" of up to {size(one)}"
+    )
+    return lines
+
+
+def _root() -> str:
+    from cudc_bench.ids import datasets_root
+
+    return str(datasets_root())

@@ -1,0 +1,151 @@
+"""From a suite to its jobs: what is made, in which order it can be, and what of it is left to do. Nothing here looks at a disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from cudc_bench.ids import default_id
+from cudc_bench.options import format_seeds
+
+from .definition import Suite
+
+Kind = Literal["pilot", "collect", "relabel", "evaluate", "stats"]
+KINDS: tuple[Kind, ...] = ("pilot", "collect", "relabel", "evaluate", "stats")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One piece of work of one process.
+
+    Attributes:
+        kind: the stage that does it.
+        domain: what it is about.
+        methods: the collector; several only where datasets are compared.
+        seeds: of the collectors; several where one process has a stack of them, or compares them.
+        tasks: that it labels, or trains for.
+        algo: the offline algorithm.
+        used: the transitions to train on, None for all.
+    """
+
+    kind: Kind
+    domain: str
+    methods: tuple[str, ...]
+    seeds: tuple[int, ...] = ()
+    tasks: tuple[str, ...] = ()
+    algo: str | None = None
+    used: int | None = None
+
+    @property
+    def method(self) -> str:
+        """The only collector."""
+        (method,) = self.methods
+        return method
+
+    @property
+    def datasets(self) -> tuple[str, ...]:
+        """The ids of the task-agnostic datasets that it makes or reads."""
+        return tuple(str(default_id(self.domain, method, seed)) for method in self.methods for seed in self.seeds)
+
+    @property
+    def name(self) -> str:
+        """For people; no two jobs of a suite have the same."""
+        if self.kind == "stats":
+            return f"stats {self.domain}"
+        what = [self.kind, *([self.algo] if self.algo else []), self.domain, self.method]
+        what += [f"seed {format_seeds(self.seeds)}"] if self.seeds else []
+        what += [",".join(self.tasks)] if self.kind == "evaluate" else []
+        return " ".join(what) + ("" if self.used is None else f" first {self.used:,}")
+
+    @property
+    def slug(self) -> str:
+        """The name as that of a file."""
+        return self.name.replace("/", ".").replace(" ", "-").replace(",", "+")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All jobs of a suite.
+
+    Attributes:
+        needs: of each job the jobs that come before it, in an order in which all could be done.
+    """
+
+    needs: Mapping[Job, tuple[Job, ...]]
+
+    def of(self, *kinds: Kind) -> list[Job]:
+        """The jobs of some kinds."""
+        return [job for job in self.needs if job.kind in kinds]
+
+    def left(self, done: Iterable[Job]) -> Plan:
+        """What must be made when some of it exists: the jobs that are goals and not done, and what these need and is not there.
+
+        A goal is what no other job of the plan needs: records, comparisons of datasets, and datasets of which nothing is made.
+        """
+        done = set(done)
+        needed = {before for before_it in self.needs.values() for before in before_it}
+        wanted: set[Job] = set()
+        # Backwards: what needs a job comes after it.
+        for job, before in reversed(list(self.needs.items())):
+            if job not in done and (job not in needed or job in wanted):
+                wanted |= {job, *(one for one in before if one not in done)}
+        return Plan({job: tuple(one for one in before if one in wanted) for job, before in self.needs.items() if job in wanted})
+
+    def users(self) -> dict[str, set[Job]]:
+        """For each dataset the jobs that make or read it."""
+        found: dict[str, set[Job]] = {}
+        for job in self.needs:
+            for one in job.datasets:
+                found.setdefault(one, set()).add(job)
+        return found
+
+
+def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False) -> Plan:
+    """The jobs of a suite, each once, whichever of its studies have it.
+
+    Args:
+        suite: what is wanted.
+        steps: of the datasets, by (domain, method).
+        pilots: (domain, method) whose threshold must be measured first.
+        stacked: whether one process trains all seeds, and all tasks, together, as is best on a GPU.
+    """
+    groups = [suite.seeds] if stacked else [(seed,) for seed in suite.seeds]
+    wanting = set(pilots)
+    tasks: dict[tuple[str, str], dict[str, None]] = {}
+    runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
+    compared: dict[str, dict[str, None]] = {}
+    for study in suite.studies:
+        for domain in study.domains:
+            for method in study.methods:
+                mine = tasks.setdefault((domain, method), {})
+                if study.algos:
+                    mine |= dict.fromkeys(study.tasks_of(domain))
+                for algo in study.algos:
+                    for share in study.shares:
+                        size = round(share * steps[domain, method])
+                        used = None if size == steps[domain, method] else max(1, size)
+                        runs.setdefault((domain, method, algo, used), {}).update(dict.fromkeys(study.tasks_of(domain)))
+                if study.stats:
+                    compared.setdefault(domain, {})[method] = None
+    needs: dict[Job, tuple[Job, ...]] = {}
+    for (domain, method), wanted in tasks.items():
+        before: tuple[Job, ...] = ()
+        if (domain, method) in wanting:
+            pilot = Job("pilot", domain, (method,))
+            needs[pilot], before = (), (pilot,)
+        for seeds in groups:
+            collect = Job("collect", domain, (method,), seeds)
+            needs[collect] = before
+            if wanted:
+                needs[Job("relabel", domain, (method,), seeds, tuple(wanted))] = (collect,)
+    relabels = {(job.domain, job.method, job.seeds): job for job in needs if job.kind == "relabel"}
+    for (domain, method, algo, used), wanted in runs.items():
+        for seeds in groups:
+            relabel = relabels[domain, method, seeds]
+            for some in [tuple(wanted)] if stacked else [(task,) for task in wanted]:
+                needs[Job("evaluate", domain, (method,), seeds, some, algo, used)] = (relabel,)
+    for domain, methods in compared.items():
+        makers = tuple(job for job in needs if job.kind == "collect" and job.domain == domain and job.method in methods)
+        needs[Job("stats", domain, tuple(methods), suite.seeds)] = makers
+    return Plan(needs)

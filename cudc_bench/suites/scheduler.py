@@ -1,0 +1,157 @@
+"""The local scheduler: as many processes as the machine has room for, each with one job at a time."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+from cudc_bench import interrupts
+from cudc_bench.errors import RunError
+from cudc_bench.parallel import all_cores
+
+from .display import Display, Running, duration, size
+from .jobs import Job, Plan
+from .pool import Ended, Progress, Worker, listen
+from .queue import Failure, Queue
+from .work import Common, remove
+
+_AGAIN = 1.0  # seconds after which a job is tried again that somebody else kept from starting
+
+
+class Retention:
+    """Removes datasets when nothing of a suite needs them any more.
+
+    Args:
+        plan: all jobs of the suite.
+        left: those to do.
+        common: to all of them.
+    """
+
+    def __init__(self, plan: Plan, left: Plan, common: Common) -> None:
+        self._users = {one: users & left.needs.keys() for one, users in plan.users().items()}
+        self._common = common
+        self.removed: list[str] = []
+        self.size = 0
+
+    def job_done(self, job: Job | None, tell: Callable[[str], None]) -> None:
+        """Remove what only this job still needed; with None, what nothing needs from the start."""
+        for base in list(self._users) if job is None else job.datasets:
+            users = self._users.get(base)
+            if users is None:
+                continue
+            users.discard(job)
+            if users:
+                continue
+            del self._users[base]
+            with suppress(RunError):  # somebody is at work on it
+                removed, count = remove(self._common, base)
+                if removed:
+                    self.removed += removed
+                    self.size += count
+                    tell(f"removed {base} and {len(removed) - 1} labelled from it ({size(count)}): all records of it are written")
+
+
+def run_locally(queue: Queue, common: Common, workers: int, before: int, retention: Retention | None = None) -> list[tuple[Failure, Path]]:
+    """Do all jobs of a queue, at most so many at once; a job that fails stops only those that need it.
+
+    Args:
+        queue: of the jobs.
+        common: to all of them.
+        workers: processes; each has an equal share of the cores.
+        before: jobs that were done before.
+        retention: removes datasets; None keeps them.
+
+    Returns:
+        What failed, with its log.
+
+    Raises:
+        Interrupted: the process was asked to leave; the jobs have saved what they had done.
+    """
+    display = Display(queue, workers, before)
+    logs = common.folder / "logs"
+    running: dict[Job, Running] = {}
+    held: dict[Job, float] = {}
+    pool: list[Worker] = []
+    share = max(1, all_cores() // workers)
+    left: list[str] = []
+
+    def pass_on(number: int) -> None:
+        for worker in pool:
+            if worker.job is not None:
+                worker.signal(number)
+
+    def end(worker: Worker, job: Job, ended: Ended) -> None:
+        one = running.pop(job)
+        passed = time.monotonic() - one.started
+        if ended.how == "done":
+            held.pop(job, None)
+            queue.succeed(job, passed)
+            display.line(f"done {job.name} in {duration(passed)}; {display.summary(running)}")
+            if retention is not None:
+                retention.job_done(job, display.line)
+        elif ended.how == "held":
+            if job not in held:
+                display.line(f"waiting {job.name}: {ended.why}")
+            held[job] = time.monotonic() + _AGAIN
+            queue.put_back(job)
+        elif ended.how == "left":
+            queue.put_back(job)
+            left.append(ended.why)
+        else:
+            log = worker.log
+            queue.fail(job, ended.why)
+            display.line(f"failed {job.name}: {ended.why} See {log}")
+
+    if retention is not None:
+        retention.job_done(None, display.line)
+    try:
+        with interrupts.leave_well(pass_on=partial(pass_on, signal.SIGTERM)), display.shown():
+            while not queue.is_over:
+                if not interrupts.requested():
+                    not_now = [job for job, when in held.items() if when > time.monotonic()]
+                    _give_out(queue, pool, workers, share, common, running, logs, not_now)
+                elif not running:
+                    break
+                display.refresh(running)
+                listen(pool, 0.2)
+                for worker in pool:
+                    job = worker.job
+                    for news in worker.news() if job is not None else ():
+                        assert job is not None
+                        if isinstance(news, Progress):
+                            running[job].tell(news.done, news.total)
+                        else:
+                            end(worker, job, news)
+            if interrupts.requested():
+                done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
+                raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))
+    except BaseException as error:
+        if not isinstance(error, interrupts.Interrupted):
+            for worker in pool:
+                worker.signal(signal.SIGKILL)  # at once
+        raise
+    finally:
+        for worker in pool:
+            worker.close()
+    return [(failure, logs / f"{(failure.because or failure.job).slug}.log") for failure in queue.failures]
+
+
+def _give_out(
+    queue: Queue, pool: list[Worker], workers: int, share: int, common: Common, running: dict[Job, Running], logs: Path,
+    not_now: list[Job],
+) -> None:  # fmt: skip
+    """Give each worker that is idle a job, as far as there are any; a worker that died is replaced."""
+    while len(running) < workers and (job := queue.start(not_now)) is not None:
+        for dead in [worker for worker in pool if worker.job is None and not worker.lives]:
+            pool.remove(dead)
+            dead.close()
+        idle = next((worker for worker in pool if worker.job is None), None)
+        if idle is None:
+            idle = Worker(share, common)
+            pool.append(idle)
+        running[job] = Running(job, time.monotonic(), queue.seconds[job])
+        idle.give(job, logs / f"{job.slug}.log")
