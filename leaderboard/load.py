@@ -15,6 +15,8 @@ from cudc_bench.markup import plain
 from cudc_bench.provenance import is_own_command
 from cudc_bench.records import Evaluation, Record, read_record
 
+from .plans import canonical
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -101,10 +103,13 @@ def evaluation_at(record: Record, step: int) -> Evaluation | None:
 def column(record: Record) -> str:
     """The name under which a record's dataset is compared: its method, or ``"proto (ExORL, 10M)"`` if it was imported.
 
-    No profile fixes the size of an imported dataset; its steps are in the name, so that datasets of different sizes never share a cell.
+    Of the names of one setting it is always the same one (:func:`~.plans.canonical`). No profile fixes the size of an imported dataset;
+    its steps are in the name, so that datasets of different sizes never share a cell.
     """
     dataset = record.dataset
-    return dataset.method if dataset.source is None else f"{dataset.method} ({dataset.source}, {short(dataset.steps)})"
+    if dataset.source is None:
+        return canonical(dataset.method)
+    return f"{dataset.method} ({dataset.source}, {short(dataset.steps)})"
 
 
 def short(steps: float) -> str:
