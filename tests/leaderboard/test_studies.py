@@ -7,17 +7,23 @@ import io
 import itertools
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
+from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 from rich.console import Console
 from scipy import stats
 
 from cudc_bench import plugins
 from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.api import Report, make_leaderboard
-from cudc_bench.leaderboard.grid import Entry, Grid
-from cudc_bench.leaderboard.grid_files import study_files, to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.figures import _STYLE, draw_bars, figure_files, filled, legend, looks
+from cudc_bench.leaderboard.grid import Column, Entry, Grid, number
+from cudc_bench.leaderboard.grid_files import to_csv, to_latex, to_markdown, to_rich
 from cudc_bench.leaderboard.overall import ALL, build_overall
 from cudc_bench.leaderboard.plans import ABLATION, ALIASES, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
 from cudc_bench.leaderboard.published import reported, reported_relative
@@ -106,8 +112,8 @@ def test_main_tables_and_comparisons_hold_no_method_of_a_study(runs: Callable) -
     assert studies_of([*runs("cudc"), *imported]) == []
 
 
-def test_records_of_studies_alone_make_no_main_table(runs: Callable, save: Callable, tmp_path: Path) -> None:
-    report = make_leaderboard(save(*runs("cudc-no-pe")), tmp_path / "out")
+def test_records_of_studies_alone_make_no_main_table(runs: Callable, save: Callable) -> None:
+    report = make_leaderboard(save(*runs("cudc-no-pe")), None)
     assert (report.tables, report.overall) == ([], [])
     assert [study.name for study in report.studies] == ["ablation"]
     assert [table.name for table in report.studies[0].tables] == ["returns"]  # There is no share of CUDC's without CUDC.
@@ -216,17 +222,16 @@ def test_relative_scores_and_their_intervals(runs: Callable) -> None:
     assert low < mean.value < high
 
 
-def test_relative_intervals_hold_the_truth(make_record: Callable) -> None:
-    """Of a ratio whose truth is known, with seeds whose tasks go together."""
-    random = np.random.default_rng(7)
+def test_relative_intervals_hold_the_truth() -> None:
+    """Five seeds each, whose tasks go together: of 1,500 such studies 94 % hold it, and of plain percentile intervals 87 %."""
+    random = np.random.default_rng(1)
     held = 0
-    for _ in range(200):
-        x = 0.4 + 0.05 * random.normal(size=(5, 1)) + 0.02 * random.normal(size=(5, 4))
-        y = 0.5 + 0.05 * random.normal(size=(5, 1)) + 0.02 * random.normal(size=(5, 4))
+    for _ in range(600):
+        x, y = (level + 0.05 * random.normal(size=(5, 1)) + 0.02 * random.normal(size=(5, 4)) for level in (0.4, 0.5))
         interval = statistics.relative_interval(x, y, "x", "y")
         held += interval.low <= 0.8 <= interval.high
-    # 95 % of 200 is 190, with a standard deviation of 3.
-    assert 180 <= held <= 198
+    print(f"relative scores: {held / 600:.3f} of intervals hold the truth")
+    assert 0.91 <= held / 600 <= 0.97
 
 
 @pytest.mark.parametrize("zero", [0.0, -1.0])
@@ -464,23 +469,25 @@ def missing(report: Report) -> list[tuple[object, ...]]:
 
 
 def test_main_tables_do_not_ask_for_studies(runs: Callable, save: Callable) -> None:
-    jaco = runs("cudc", 0.1, tasks=("reach_top_left",), dataset_domain="jaco", dataset_id="jaco/cudc")
+    jaco = runs("cudc", 0.1, tasks=("reach_top_left",), dataset_domain="jaco", dataset_id="jaco/reach_top_left/cudc-v0", seeds=range(1, 2))
     report = make_leaderboard(save(*runs("cudc"), *runs("cudc-no-pe", seeds=range(1, 3)), *jaco), None)
     assert [one[:2] for one in missing(report)] == [
-        (None, "cudc"), *(("ablation", m) for m in ("cudc-no-entropy", "cudc-no-regularize", "cudc-no-vary", "cudc-no-reach", "cudc-no-inverse")),
+        (None, "cudc"), (None, "cudc"), *(("ablation", method) for method in ABLATION.methods if method not in ("cudc", "cudc-no-pe")),
     ]  # fmt: skip
     assert {one.domain for one in report.missing if one.study} == {"walker"}
     assert all((one.tasks, one.seeds) == (TASKS, (1, 2)) for one in report.missing if one.study)
-    assert str(report.missing[1]) == (
-        "ablation: td3 on cudc-no-entropy in walker, profile cpu, stand, walk, run, flip, seeds 1-2: cudc-bench evaluate --algo td3"
-        " --domain walker --method cudc-no-entropy --tasks stand,walk,run,flip --seeds 1-2 --profile cpu"
+    assert str(report.missing[2]) == (
+        "ablation: td3 on cudc-no-entropy in walker, profile cpu, stand, walk, run, flip, seeds 1,2: cudc-bench evaluate --algo td3"
+        " --domain walker --method cudc-no-entropy --tasks stand,walk,run,flip --seeds 1,2 --profile cpu"
     )
 
 
 def test_what_is_there_under_another_name_is_not_missing(runs: Callable, save: Callable) -> None:
     report = make_leaderboard(save(*(one for method in K_BOUND.methods[1:] for one in runs(method)), *runs("cudc-no-vary")), None)
     assert [one for one in missing(report) if one[0] == "k-bound"] == []
-    # Of both studies only one asks for what both lack.
+
+
+def test_of_two_studies_one_asks_for_what_both_lack(runs: Callable, save: Callable) -> None:
     report = make_leaderboard(save(*runs("cudc-kmax4"), *runs("cudc-no-pe"), *runs("cudc-reach")), None)
     asked = [one for one in missing(report) if one[1] in ("cudc-no-vary", "cudc-kmax3")]
     assert len(asked) == 1
@@ -498,7 +505,7 @@ def test_sizes_lack_what_others_have(runs: Callable, save: Callable) -> None:
     assert sum("--method icm --tasks run --seeds 2 --profile cpu --dataset-size 100000" in line for line in lines) == 1
     assert sum("--method cudc --tasks run --seeds 2 --profile cpu --dataset-size 100000" in line for line in lines) == 1
     (full,) = [line for line in lines if "--dataset-size" not in line]
-    assert full.startswith("sizes: td3 on icm in walker, profile cpu, stand, walk, run, flip, seeds 1-2: cudc-bench evaluate")
+    assert full.startswith("sizes: td3 on icm in walker, profile cpu, stand, walk, run, flip, seeds 1,2: cudc-bench evaluate")
 
 
 def test_learners_lack_what_others_have(runs: Callable, save: Callable) -> None:
@@ -517,20 +524,17 @@ def everything(runs: Callable) -> list[Record]:
     return [*records, *sized(runs, "cudc", {100_000: 0.2, 300_000: 0.4}, seeds=range(1, 3))]
 
 
-def test_every_study_is_written_shown_and_repeatable(everything: list[Record]) -> None:
-    studies = studies_of(everything)
-    assert [study.name for study in studies] == ["variants", "schedule", "ablation", "k-bound", "controls", "sizes", "learners"]
-    assert [study.slug for study in studies] == sorted({study.slug for study in studies}, key=[study.slug for study in studies].index)
-    again = {study.slug: study for study in studies_of(everything[::-1])}
-    for study in studies:
-        files = study_files(study)
-        suffixes = {name.rpartition(".")[2] for name in files}
-        assert suffixes == {"md", "tex", "csv", "svg", "pdf"}
-        assert all(name.startswith(study.name) for name in files)
-        assert files[f"{study.name}.tex"].isascii()
-        for name in (f"{study.name}.md", f"{study.name}.tex", *(f"{study.name}-{table.name}.csv" for table in study.tables)):
-            assert files[name] == study_files(again[study.slug])[name] if name.endswith(".csv") else True
-        for table in study.tables:
+def test_every_study_is_shown_in_every_format_and_repeatable(everything: list[Record]) -> None:
+    studies, again = (studies_of(records) for records in (everything, everything[::-1]))
+    assert [study.slug.rpartition(".")[2] for study in studies] == [
+        "variants", "schedule", "ablation", "k-bound", "controls", "sizes", "learners",
+    ]  # fmt: skip
+    assert len({study.slug for study in studies}) == len(studies)
+    for study, other in zip(studies, again, strict=True):
+        assert (to_markdown(study), to_latex(study)) == (to_markdown(other), to_latex(other))
+        assert to_latex(study).isascii()
+        for table, same in zip(study.tables, other.tables, strict=True):
+            assert to_csv(study, table) == to_csv(other, same)
             rows = list(csv.reader(io.StringIO(to_csv(study, table))))
             assert {len(row) for row in rows} == {len(rows[0])}
             assert len(rows) == 1 + sum(len(part.lines) for part in table.parts) * len(table.columns)
@@ -541,3 +545,124 @@ def test_every_study_is_written_shown_and_repeatable(everything: list[Record]) -
         screen.print(to_rich(study))
         assert study.heading in screen.file.getvalue()  # type: ignore[attr-defined]
         assert study.commands == sorted({one.command for one in study.records})
+
+
+def test_files_and_terminal_show_the_same_cells(runs: Callable) -> None:
+    study = only([*runs("cudc", 0.6), *runs("cudc-no-pe", 0.3)], "ablation")
+    markdown = [token for token in MarkdownIt().enable("table").parse(to_markdown(study)) if token.type == "inline"]
+    latex = to_latex(study)
+    screen = Console(file=io.StringIO(), width=150, force_terminal=False)
+    screen.print(to_rich(study))
+    terminal = screen.file.getvalue()  # type: ignore[attr-defined]
+    texts = [token.content for token in markdown]
+    for _, _, column, entry in grid(study, "returns").entries():
+        if column.name != "IQM":
+            shown = (f"{entry.value:.0f}", f"{entry.std:.0f}")
+            assert any(text.replace("**", "") == f"{shown[0]} ± {shown[1]} (5)" for text in texts)
+            assert f"{shown[0]} $\\pm$ {shown[1]} (5)" in latex
+            assert f"{shown[0]}±{shown[1]} (5)" in terminal
+    ratio = cells(grid(study, "relative"))[20_000, "cudc-no-pe", "mean"]
+    text = f"{ratio.value:.3f} [{ratio.interval.low:.3f}, {ratio.interval.high:.3f}] (5)"
+    assert text in texts
+    assert text in latex
+    assert f"{ratio.interval.low:.2f} to {ratio.interval.high:.2f}" in terminal
+    assert r"\textbf{" in latex
+
+
+def test_numbers_are_rounded_without_a_minus_for_zero() -> None:
+    assert number(-0.3, Column("")) == "0"
+    assert number(-0.04, Column("", 1, signed=True)) == "+0.0"
+    assert number(-1.25, Column("", 1, signed=True)) == "-1.2"
+
+
+@pytest.mark.parametrize("name", ["k-bound", "sizes", "learners"])
+def test_figures_are_repeatable_xml_with_their_methods_as_text(name: str, everything: list[Record]) -> None:
+    first, again = (only(records, name) for records in (everything, everything[::-1]))
+    draw = {"k-bound": "bound", "sizes": "curves", "learners": "iqm"}[name]
+    files = figure_files(f"{name}-{draw}", first.figures[draw])
+    assert files == figure_files(f"{name}-{draw}", again.figures[draw])
+    texts = {element.text for element in ElementTree.fromstring(files[f"{name}-{draw}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
+    assert {"k-bound": {"10K steps", "20K steps", "largest k", "8"}, "sizes": {"cudc", "100K", "400K", "transitions"},
+            "learners": {"td3", "cql", "random", "cudc"}}[name] <= texts  # fmt: skip
+
+
+def test_what_figures_draw(everything: list[Record], runs: Callable) -> None:
+    bound = only(everything, "k-bound")
+    values = cells(grid(bound, "returns"))
+    panel = bound.figures["bound"]().axes[1]
+    lines = [line for line in panel.lines if len(line.get_xdata()) == 6]
+    assert panel.get_title() == "walk"
+    for line, milestone in zip(lines, (10_000, 20_000), strict=True):
+        assert line.get_ydata() == pytest.approx([values[milestone, f"cudc-kmax{k}", "walk"].value for k in range(3, 9)])
+        assert np.round(line.get_xdata()).tolist() == [3, 4, 5, 6, 7, 8]
+    sizes = only([*sized(runs, "cudc", LEVELS), *sized(runs, "icm", LEVELS)], "sizes")
+    *tasks, last = sizes.figures["curves"]().axes[:5]
+    assert [panel.get_title() for panel in tasks] == list(TASKS)
+    values = cells(grid(sizes, "returns"))
+    assert last.lines[1].get_xdata().tolist() == [100_000, 200_000, 500_000, 1_000_000]
+    assert last.lines[1].get_ydata() == pytest.approx([values[size, "cudc", "IQM"].value for size in last.lines[1].get_xdata()])
+    assert tasks[2].lines[1].get_ydata() == pytest.approx([values[size, "cudc", "run"].value for size in last.lines[1].get_xdata()])
+    bars = only(everything, "variants").figures["bars"]().axes[1]
+    values = cells(grid(only(everything, "variants"), "returns"))
+    assert [bar.get_height() for bar in bars.patches] == pytest.approx(
+        [values[step, method, "walk"].value for step in (10_000, 20_000) for method in VARIANTS.methods]
+    )
+
+
+@pytest.mark.parametrize("width", ["short", "long"])
+@pytest.mark.parametrize("count", [6, 12])
+def test_no_labels_of_bars_overlap(count: int, width: str, runs: Callable) -> None:
+    names = [f"m{'ethod' * 11 if width == 'long' else ''}{i}" for i in range(count)]
+    table = build_tables([one for name in names for one in runs(name, seeds=range(1, 3))])[0][0]
+    with style.context(_STYLE, after_reset=True):
+        figure = draw_bars(table.runs)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        texts = [one for one in figure.findobj(Text) if one.get_visible() and one.get_text()]
+        boxes = [one.get_window_extent(canvas.get_renderer()) for one in texts]
+    assert not [(a, b) for a, b in itertools.combinations(range(len(boxes)), 2) if boxes[a].overlaps(boxes[b])]
+    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.width and box.y0 >= 0 and box.y1 <= figure.bbox.height for box in boxes)
+    assert len(figure.legends[0].get_texts()) == count
+
+
+def test_methods_of_a_study_can_be_told_apart_and_legends_never_merge_them() -> None:
+    for plan in PLANS:
+        shown = looks(plan.methods)
+        assert len({(look["color"], look["linestyle"]) for look in shown.values()}) == len(plan.methods)
+        assert len({(area["facecolor"], area["hatch"]) for area in map(filled, shown.values())}) == len(plan.methods)
+    alike = [f"{'a' * 60}{i}" for i in range(3)]
+    names = legend(looks(alike))
+    assert len(names) == 3
+    assert max(map(len, names)) == 28
+
+
+def test_hostile_texts_are_shown_plainly(make_record: Callable) -> None:
+    hostile = "<script>alert(1)</script> | `x` \\input{/etc/passwd} $m$ \x1b[31m \u202e =cmd"
+    changes = {"overrides": {hostile: hostile}, "dataset_overrides": {hostile: hostile}, "command": "cudc-bench evaluate"}
+    grid_of = itertools.product(("cudc", "cudc-kmax4", "icm"), TASKS, (1, 2), (None, 100_000), ("td3", "cql"))
+    records = [make_record(m, task, s, dataset_used=used, algorithm=algo, **changes) for m, task, s, used, algo in grid_of]
+    studies = studies_of(records)
+    assert {study.name for study in studies} == {"k-bound", "sizes", "learners"}
+    for study in studies:
+        assert Path(study.slug).name == study.slug
+        texts = [to_markdown(study), to_latex(study), *(to_csv(study, table) for table in study.tables)]
+        screen = Console(file=io.StringIO(), width=150, force_terminal=False)
+        screen.print(to_rich(study))
+        for text in (*texts, screen.file.getvalue()):  # type: ignore[attr-defined]
+            assert all(character.isprintable() or character == "\n" for character in text)
+        assert "<script" not in texts[0].replace("\\<script", "")
+        assert "\\input" not in texts[1]
+        for text in texts[2:]:
+            assert not any(cell[:1] in "=+@" for row in csv.reader(io.StringIO(text)) for cell in row if cell)
+
+
+def test_the_command_prints_and_writes_studies(runs: Callable, save: Callable, cli: Callable, tmp_path: Path) -> None:
+    results = save(*(one for m in ("cudc", "cudc-kmax4") for one in runs(m, seeds=range(1, 3), tasks=("walk",))))
+    done = cli("leaderboard", str(results), "--output", str(tmp_path / "out"))
+    assert done.code == 0, done.err
+    assert "The upper bound of k: walker, td3, profile cpu" in done.out
+    written = {path.name for path in (tmp_path / "out" / "cpu.td3.walker").iterdir() if path.name.startswith("k-bound")}
+    figures = {f"k-bound-{name}.{kind}" for name in ("bars", "curves", "bound") for kind in ("svg", "pdf")}
+    assert written == {"k-bound.md", "k-bound.tex", "k-bound-returns.csv", *figures}
+    assert "missing: k-bound: td3 on cudc-kmax5 in walker" in done.err
+    assert "cudc-kmax4" not in (tmp_path / "out" / "cpu.td3.walker" / "table.md").read_text()
