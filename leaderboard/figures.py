@@ -101,13 +101,18 @@ def draw_bars(runs: Runs) -> Figure:
     figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == _COLUMNS else 4.8)
     group = 1 + len(runs.methods)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
-        for number, milestone in enumerate(runs.milestones):
-            for place, (method, look) in enumerate(shown.items()):
-                if cell := runs.cells.get((milestone, task, method)):
-                    at = number * group + place
-                    panel.bar(at, cell.mean, 0.9, **filled(look))
-                    if cell.std is not None:
-                        panel.errorbar(at, cell.mean, cell.std, color="black", elinewidth=0.8, capsize=1.5, capthick=0.8)
+        for place, (method, look) in enumerate(shown.items()):
+            cells = {
+                number * group + place: cell
+                for number, milestone in enumerate(runs.milestones)
+                if (cell := runs.cells.get((milestone, task, method)))
+            }
+            panel.bar(list(cells), [cell.mean for cell in cells.values()], 0.9, **filled(look))
+            spread = {at: cell for at, cell in cells.items() if cell.std is not None}
+            panel.errorbar(
+                list(spread), [cell.mean for cell in spread.values()], [cell.std or 0.0 for cell in spread.values()],
+                color="black", linestyle="", elinewidth=0.8, capsize=1.5, capthick=0.8,
+            )  # fmt: skip
         middles = [number * group + (len(runs.methods) - 1) / 2 for number in range(len(runs.milestones))]
         panel.set_xticks(middles, [f"{short(milestone)} steps" for milestone in runs.milestones])
         panel.set_xlim(-1, len(runs.milestones) * group - 1)
