@@ -179,14 +179,22 @@ class Record(_Strict):
         The profile's name, followed by whatever differs from it, as in ``"cpu (collect: steps=100000)"``. An imported dataset was
         collected at no profile; it belongs to the training's, in a column of its own.
         """
+        return self._group(self.dataset.used)
+
+    @property
+    def group_of_all_sizes(self) -> str:
+        """The group of the same run on all of the dataset: equal for records that differ in nothing but how much of it they used."""
+        return self._group(None)
+
+    def _group(self, used: int | None) -> str:
         changes = []
         if self.dataset.profile != self.profile and self.dataset.source is None:
             changes.append(f"collected at {self.dataset.profile}")
         if self.dataset.reward is not None:
             # A function that was changed on the way is another task.
             changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
-        if self.dataset.used is not None:
-            changes.append(f"first {self.dataset.used:,} transitions")
+        if used is not None:
+            changes.append(f"first {used:,} transitions")
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
             if overrides:
                 changes.append(f"{stage}: {settings_text(overrides)}")

@@ -9,8 +9,9 @@ from pathlib import Path
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
 
-from .figures import curve_files
+from .figures import curve_files, draw_bars, figure_files
 from .files import only, write_files
+from .grid_files import study_files
 from .load import Loaded, load_records
 from .missing import Missing, find_missing
 from .overall import Overall, build_overall
@@ -28,7 +29,9 @@ from .render import (
     to_latex,
     to_markdown,
 )
-from .table import Table, build_tables
+from .studies import build_studies
+from .study import Study
+from .table import Table, build_blocks, tables_of
 
 
 @dataclass(frozen=True)
@@ -36,15 +39,17 @@ class Report:
     """What the records say.
 
     Attributes:
-        tables: one for each domain, algorithm and group, in that order.
+        tables: one for each domain, algorithm and group, in that order; without methods that exist for studies only.
         overall: for each group and algorithm its methods over all tasks, with intervals.
+        studies: the paper's other tables and figures, as far as there are records of them.
         problems: one line for each thing that was left out or is doubtful.
-        missing: runs that would make the comparisons complete.
+        missing: runs that would make the comparisons, and the studies that have begun, complete.
         files: what was written; empty without an output folder.
     """
 
     tables: list[Table]
     overall: list[Overall]
+    studies: list[Study]
     problems: list[str]
     missing: list[Missing]
     files: list[Path]
@@ -59,10 +64,12 @@ def make_leaderboard(
 ) -> Report:
     """Make tables and learning curves from run records.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, and
-    ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
-    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
-    ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. Each file is replaced whole. The same records give the same bytes.
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and ``.pdf``,
+    and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too; and for each study of the same domain,
+    algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and its figures. For each group and algorithm
+    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and ``intervals``,
+    ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in ``<output>/<profile>.learners/``. Each
+    file is replaced whole. The same records give the same bytes.
 
     Args:
         results: a record or a folder of records, or several.
@@ -80,13 +87,17 @@ def make_leaderboard(
     records = only(records, "record", "profile", profile, lambda record: record.profile)
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
-    tables, problems = build_tables(records)
+    blocks, problems = build_blocks(records)
+    tables = tables_of(blocks)
     overall = build_overall(tables)
+    studies = build_studies(blocks, overall)
     files = []
     if folder is not None:
         files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
         files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
-    return Report(tables, overall, [*loaded.problems, *problems], find_missing(tables), files)
+        files += [file for study in studies for file in write_files(folder / study.folder, study_files(study))]
+    missing = find_missing(tables, [one for study in studies for one in study.wanted])
+    return Report(tables, overall, studies, [*loaded.problems, *problems], missing, files)
 
 
 def _load(paths: Sequence[Path]) -> Loaded:
@@ -109,6 +120,7 @@ def _contents(table: Table) -> dict[str, str | bytes]:
         "table.tex": to_latex(table),
         "table.csv": to_csv(table),
         **curve_files(table),
+        **figure_files("bars", lambda: draw_bars(table.runs)),
     }
     paper = beside_paper(table)
     if paper is not None:

@@ -28,6 +28,7 @@ def leaderboard(
     from cudc_bench.progress import say
 
     from . import api
+    from .grid_files import to_rich as study_to_rich
     from .render import overall_to_rich, to_rich
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo)
@@ -37,6 +38,9 @@ def leaderboard(
         screen.print()
     for overall in report.overall:
         screen.print(overall_to_rich(overall))
+        screen.print()
+    for study in report.studies:
+        screen.print(study_to_rich(study))
         screen.print()
     for problem in report.problems:
         say(f"problem: {problem}")

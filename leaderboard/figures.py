@@ -10,10 +10,11 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
-from .load import column, short
-from .table import Table, seed_scores
+from .load import short
+from .table import Runs, Table, seed_scores
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,8 +25,27 @@ COLOURS = {
     "random": "#7F7F7F", "icm": "#56B4E9", "apt": "#009E73", "proto": "#CC79A7", "aps": "#E69F00", "cudc": "#D55E00",
 }  # fmt: skip
 _OTHER_COLOURS = ("#0072B2", "#000000", "#8C6D1F", "#882255", "#117733", "#7B5FD0")
-_OTHER_DASHES = ("--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)), "-")
+_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)))
+_HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\")
+_LIGHT, _OWN, _DIM, _DARK = "#F4B183", COLOURS["cudc"], "#9A4400", "#4A1C00"
+# CUDC's relatives have its hue, lighter or darker, or that of the method that they start from; dashes tell apart those of one colour.
+_STYLED: dict[str, tuple[str, Any]] = {
+    name: (colour, dashes)
+    for colour, names in (
+        *((colour, ("", name)) for colour, name in zip(_OTHER_COLOURS, ("be", "cic", "diayn", "disagreement", "rnd", "smm"), strict=True)),
+        (COLOURS["icm"], ("", "cudc-vary-icm")),
+        (COLOURS["apt"], ("", "cudc-vary-apt", "apt-k6", "apt-ksched")),
+        (_LIGHT, ("cudc-kmax3", "cudc-kmax4", "cudc-no-regularize", "cudc-no-reach", "cudc-uniform-k")),
+        (_OWN, ("", "cudc-kmax5", "cudc-reward", "cudc-one-setting", "cudc-kmax6")),
+        (_DIM, ("cudc-no-entropy", "cudc-no-inverse", "cudc-no-pe", "cudc-reach", "cudc-kmix")),
+        (_DARK, ("cudc-kmax8", "cudc-kmax7", "cudc-normal-k", "cudc-no-vary", "cudc-literal")),
+    )
+    for dashes, name in zip(_DASHES, names, strict=False)
+    if name
+}
 _COLUMNS = 4
+_BARS = 14  # so many bars can be told apart in a panel of the ordinary width
+LONGEST_NAME = 28  # letters of a method beside an axis or in a legend
 _STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "cudc-bench", "pdf.fonttype": 42, "text.parse_math": False,
     "figure.constrained_layout.use": True, "font.size": 9.0, "axes.titlesize": 9.0, "axes.spines.top": False,
@@ -36,7 +56,7 @@ _STYLE = {
 
 def curve_files(table: Table) -> dict[str, bytes]:
     """``curves.svg`` and ``curves.pdf``, as :func:`figure_files` makes them."""
-    return figure_files("curves", lambda: draw_curves(table))
+    return figure_files("curves", lambda: draw_curves(table.runs))
 
 
 def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
@@ -52,44 +72,80 @@ def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
         }
 
 
-def draw_curves(table: Table) -> Figure:
+def draw_curves(runs: Runs) -> Figure:
     """Return over gradient steps for each task that has records.
 
     A line is the mean over collector seeds with a band of ± one sample standard deviation; a single seed is a thin line. Vertical
     dotted lines mark the milestones. The value after the last step is that of the final, larger evaluation, as in tables.
     """
-    tasks = [task for task in table.tasks if any(record.dataset.task == task for record in table.records)]
-    what = f"{seeds_text(table.seeds)}, dotted: milestones"
-    title = f"{table.algorithm} on {table.domain}, profile {table.group}: {what}"
-    figure, panels = framed(title, looks(table.methods), len(tasks), _COLUMNS, sharey=True)
-    for index, (panel, task) in enumerate(zip(panels, tasks, strict=True)):
-        _draw_panel(panel, table, task)
+    what = f"{seeds_text(runs.seeds)}, dotted: milestones"
+    title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}: {what}"
+    shown = looks(runs.methods)
+    figure, panels = framed(title, legend(shown), len(runs.tasks), _COLUMNS, sharey=True)
+    for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
+        _draw_panel(panel, runs, task, shown)
         if index % _COLUMNS == 0:
             panel.set_ylabel("return")
     return figure
 
 
+def draw_bars(runs: Runs) -> Figure:
+    """The mean return of each method at each milestone, a panel for each task, with ± one sample standard deviation over seeds.
+
+    Bars stand in the legend's order; a single seed has no error bar.
+    """
+    title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}, after so many gradient steps: {seeds_text(runs.seeds, 'bar')}"
+    shown = looks(runs.methods)
+    columns = _COLUMNS if len(runs.methods) * len(runs.milestones) <= _BARS else 2
+    entries = {name: filled(look) for name, look in legend(shown).items()}
+    figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == _COLUMNS else 4.8)
+    group = 1 + len(runs.methods)
+    for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
+        for place, (method, look) in enumerate(shown.items()):
+            cells = {
+                number * group + place: cell
+                for number, milestone in enumerate(runs.milestones)
+                if (cell := runs.cells.get((milestone, task, method)))
+            }
+            panel.bar(list(cells), [cell.mean for cell in cells.values()], 0.9, **filled(look))
+            spread = {at: cell for at, cell in cells.items() if cell.std is not None}
+            panel.errorbar(
+                list(spread), [cell.mean for cell in spread.values()], [cell.std or 0.0 for cell in spread.values()],
+                color="black", linestyle="", elinewidth=0.8, capsize=1.5, capthick=0.8,
+            )  # fmt: skip
+        middles = [number * group + (len(runs.methods) - 1) / 2 for number in range(len(runs.milestones))]
+        panel.set_xticks(middles, [f"{short(milestone)} steps" for milestone in runs.milestones])
+        panel.set_xlim(-1, len(runs.milestones) * group - 1)
+        panel.tick_params(axis="x", length=0)
+        panel.set_title(task)
+        if index % columns == 0:
+            panel.set_ylabel("return")
+        returns_axis(panel, runs.domain, runs.tasks)
+    return figure
+
+
 def framed(
-    title: str, methods: Mapping[str, dict[str, Any]], panels: int, columns: int, *, sharey: bool = False, height: float = 2.1
-) -> tuple[Figure, list[Axes]]:
+    title: str, methods: Mapping[str, dict[str, Any]], panels: int, columns: int, *, sharey: bool = False, height: float = 2.1,
+    width: float = 2.4,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
     """A figure of empty panels with a title above and the legend below, and the panels in reading order.
 
     Args:
         title: wrapped where it is too long.
-        methods: the entries of the legend: names and their :func:`looks`.
+        methods: the entries of the legend: names and their :func:`looks`, or how they are :func:`filled`.
         panels: how many; ``columns``: at most so many beside each other.
         sharey: one vertical axis for all.
-        height: of a row of panels, in inches.
+        height, width: of a panel, in inches.
     """
     from matplotlib.figure import Figure
 
     columns = min(panels, columns)
     rows = ceil(panels / columns)
-    width = max(2.4 * columns + 0.4, 5.2)
-    lines = wrap(title, int(width * 13))
+    across = max(width * columns + 0.4, 5.2)
+    lines = wrap(title, int(across * 13))
     # Points that an entry of the legend takes: its line and gaps, then about 5.5 for each letter.
-    entries = max(1, int(width * 72 / (45 + 5.5 * max(map(len, methods)))))
-    figure = Figure(figsize=(width, height * rows + 0.2 * (len(lines) + ceil(len(methods) / entries)) + 0.6))
+    entries = max(1, int(across * 72 / (45 + 5.5 * max(map(len, methods)))))
+    figure = Figure(figsize=(across, height * rows + 0.2 * (len(lines) + ceil(len(methods) / entries)) + 0.6))
     axes = list(figure.subplots(rows, columns, squeeze=False, sharey=sharey).flat)
     for panel in axes[panels:]:
         panel.set_visible(False)
@@ -99,22 +155,63 @@ def framed(
     return figure, axes[:panels]
 
 
-def seeds_text(seeds: str) -> str:
+def seeds_text(seeds: str, spread: str = "band") -> str:
     """What lines and bands are, for a title: ``"1 seed"``, or ``"3 seeds, mean, band: ± sample standard deviation"``."""
-    return seeds if seeds == "1 seed" else f"{seeds}, mean, band: ± sample standard deviation"
+    return seeds if seeds == "1 seed" else f"{seeds}, mean, {spread}: ± sample standard deviation"
 
 
 def looks(methods: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and line style of each method: fixed for the paper's, in turn for others."""
-    others = [method for method in methods if method not in COLOURS]
+    """Colour and line style of each method: fixed for this project's, in turn for others."""
+    others = [method for method in methods if method not in COLOURS and method not in _STYLED]
     found: dict[str, dict[str, Any]] = {}
     for method in methods:
         if method in COLOURS:
-            found[method] = {"color": COLOURS[method], "linestyle": "-"}
+            colour, dashes = COLOURS[method], _DASHES[0]
+        elif method in _STYLED:
+            colour, dashes = _STYLED[method]
         else:
-            turn, colour = divmod(others.index(method), len(_OTHER_COLOURS))
-            found[method] = {"color": _OTHER_COLOURS[colour], "linestyle": _OTHER_DASHES[turn % len(_OTHER_DASHES)]}
+            turn, place = divmod(others.index(method), len(_OTHER_COLOURS))
+            colour, dashes = _OTHER_COLOURS[place], _DASHES[(turn + 2) % len(_DASHES)]
+        found[method] = {"color": colour, "linestyle": dashes}
     return found
+
+
+def filled(look: Mapping[str, Any]) -> dict[str, Any]:
+    """The same look for an area: dashes become a texture, so that methods of one colour can be told apart there, too."""
+    hatch = _HATCHES[_DASHES.index(look["linestyle"])]
+    return {
+        "facecolor": look["color"],
+        "hatch": hatch,
+        "edgecolor": "#303030" if luminance(look["color"]) > 0.6 else "white",
+        "linewidth": 0,
+    }
+
+
+def luminance(colour: Any, alpha: float = 1.0) -> float:
+    """Of a colour of that strength over white: 0 is black, 1 is white (relative luminance of ITU-R BT.709, without its gamma)."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (1 - alpha * (1 - part) for part in to_rgb(colour))
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def legend(shown: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Looks by names that fit into a legend or beside an axis, in the same order; no two methods get one name."""
+    found: dict[str, dict[str, Any]] = {}
+    for method, look in shown.items():
+        name = whole = plain(method)
+        number = 1
+        while len(name) > LONGEST_NAME or name in found:
+            mark = f"…{number if number > 1 else ''}"
+            name, number = whole[: LONGEST_NAME - len(mark)] + mark, number + 1
+        found[name] = look
+    return found
+
+
+def returns_axis(panel: Axes, domain: str, tasks: Sequence[str]) -> None:
+    """The vertical axis of returns: up to the largest possible, where that is known for all tasks."""
+    if domain in DOMAINS and set(tasks) <= set(DOMAINS[domain].tasks):
+        panel.set_ylim(0, DOMAINS[domain].max_return)
 
 
 def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float] | None]:
@@ -163,24 +260,23 @@ def steps_axis(panel: Axes, what: str, steps: Iterable[int]) -> None:
     panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
 
 
-def _draw_panel(panel: Axes, table: Table, task: str) -> None:
-    for section in table.sections:
-        panel.axvline(section.milestone, color="#B0B0B0", linewidth=0.8, linestyle=":", zorder=0)
-    for method, look in looks(table.methods).items():
-        records = [r for r in table.records if (r.dataset.task, column(r)) == (task, method)]
-        if not records:
-            continue
-        draw_line(panel, *curve(records), look)
+def _draw_panel(panel: Axes, runs: Runs, task: str, shown: Mapping[str, dict[str, Any]]) -> None:
+    for milestone in runs.milestones:
+        panel.axvline(milestone, color="#B0B0B0", linewidth=0.8, linestyle=":", zorder=0)
+    for method, look in shown.items():
+        records = runs.records.get((method, task))
+        if records:
+            draw_line(panel, *curve(records), look)
     panel.set_title(task)
-    steps_axis(panel, "gradient steps", (record.final.step for record in table.records))
-    if table.domain in DOMAINS and table.tasks == DOMAINS[table.domain].tasks:
-        panel.set_ylim(0, DOMAINS[table.domain].max_return)
+    steps_axis(panel, "gradient steps", (record.final.step for records in runs.records.values() for record in records))
+    returns_axis(panel, runs.domain, runs.tasks)
 
 
 def _handle(method: str, look: dict[str, Any]) -> Any:
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
-    return Line2D([], [], label=method, linewidth=1.6, **look)
+    return Patch(label=method, **look) if "facecolor" in look else Line2D([], [], label=method, linewidth=1.6, **look)
 
 
 def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:

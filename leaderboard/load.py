@@ -18,6 +18,8 @@ from cudc_bench.progress import bar_if_long
 from cudc_bench.provenance import is_own_command
 from cudc_bench.records import Evaluation, Record, read_record
 
+from .plans import canonical
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -130,15 +132,22 @@ def evaluation_at(record: Record, step: int) -> Evaluation | None:
 def column(record: Record) -> str:
     """The name under which a record's dataset is compared: its method, and in brackets what keeps it apart from our own.
 
-    ``"proto (ExORL, 10M)"`` was imported: no profile fixes the size of such a dataset; its steps are in the name, so that datasets of
-    different sizes never share a cell. ``"cudc (by ann)"`` was handed in by somebody and not run again here.
+    Of the names of one setting it is always the same one (:func:`~.plans.canonical`). ``"proto (ExORL, 10M)"`` was imported: no profile
+    fixes the size of such a dataset; its steps are in the name, so that datasets of different sizes never share a cell. ``"cudc (by ann)"``
+    was handed in by somebody and not run again here.
     """
     dataset, apart = record.dataset, []
     if dataset.source is not None:
         apart += [dataset.source, short(dataset.steps)]
     if record.submission is not None:
         apart.append(f"by {record.submission.by}")
-    return f"{dataset.method} ({', '.join(apart)})" if apart else dataset.method
+    name = canonical(dataset.method) if dataset.source is None else dataset.method
+    return f"{name} ({', '.join(apart)})" if apart else name
+
+
+def is_own(record: Record) -> bool:
+    """Whether it was collected and trained here, so that more of its kind can be asked for."""
+    return record.dataset.source is None and record.submission is None
 
 
 def submitted_columns(records: Iterable[Record]) -> tuple[str, ...]:

@@ -2,63 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from cudc_bench.markup import plain
-
-from .figures import figure_files, framed, looks
-from .overall import THRESHOLDS, Comparison, Overall, Standing
+from .figures import figure_files, framed, legend, looks, luminance
+from .load import short
+from .overall import ALL, THRESHOLDS, Comparison, Estimate, Overall
+from .table import METHOD_ORDER, ordered, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _AGGREGATES = {"iqm": "IQM", "median": "median", "mean": "mean", "optimality_gap": "optimality gap"}
-_LONGEST_NAME = 28  # letters of a method beside an axis or in a legend
 
 
 def overall_figure_files(overall: Overall) -> dict[str, bytes]:
-    """``intervals``, ``profiles`` and ``ranks`` of the headline comparison as ``.svg`` and ``.pdf``; see ``figure_files``.
+    """``intervals``, ``profiles`` and ``ranks`` of the headline comparison as ``.svg`` and ``.pdf``; see ``figure_files``. And ``domains``.
 
-    Ranks are left out if no method has two seeds.
+    Ranks are left out if no method has two seeds, domains if there is only one.
     """
     files = figure_files("intervals", lambda: draw_intervals(overall)) | figure_files("profiles", lambda: draw_profiles(overall))
     if any(standing.ranks for standing in overall.headline.standings):
         files |= figure_files("ranks", lambda: draw_ranks(overall))
+    if any(one.scope == ALL for one in overall.comparisons):
+        files |= figure_files("domains", lambda: draw_domains(overall))
     return files
 
 
 def draw_intervals(overall: Overall) -> Figure:
-    """A panel for each aggregate, a row for each method: its value, the 95 % interval by the cluster bootstrap, and above it, thin and
-    grey, that of the plain stratified one. A single seed has a hollow mark and no interval."""
+    """A panel for each aggregate, as :func:`draw_estimates` draws them."""
+    comparison = overall.headline
+    panels = {
+        label: {standing.method: standing.estimates[name] for standing in comparison.standings} for name, label in _AGGREGATES.items()
+    }
+    return draw_estimates(_title("Aggregates and 95 % intervals", overall, 0), comparison.methods, panels, _AGGREGATES["optimality_gap"])
+
+
+def draw_domains(overall: Overall) -> Figure:
+    """The IQM of each method at the last milestone, a panel for each domain and one for all together."""
+    last = [one for one in overall.comparisons if one.milestone == overall.comparisons[0].milestone]
+    panels = {one.scope: {standing.method: standing.estimates["iqm"] for standing in one.standings} for one in last}
+    methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
+    seeds = span([standing.n for one in last for standing in one.standings], "seed")
+    title = f"IQM and 95 % intervals by domain: {overall.algorithm}, profile {overall.group}: {short(last[0].milestone)} steps, {seeds}"
+    return draw_estimates(title, methods, panels, alike=True)
+
+
+def draw_estimates(
+    title: str, methods: Sequence[str], panels: Mapping[str, Mapping[str, Estimate]], smaller: str | None = None, *, alike: bool = False
+) -> Figure:
+    """A panel for each name, a row for each method: its value, the 95 % interval by the cluster bootstrap, and above it, thin and
+    grey, that of the plain stratified one. A single seed has a hollow mark and no interval.
+
+    Args:
+        title: wrapped where it is too long.
+        methods: the rows.
+        panels: what to draw of them; a method may be absent from some.
+        smaller: the panel in which smaller values are better.
+        alike: whether all panels are of one quantity, and so have one axis.
+    """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    comparison = overall.headline
-    rows = len(comparison.standings)
-    title = _title("Aggregates and 95 % intervals", overall, 120)
-    figure = Figure(figsize=(9.6, 0.26 * rows + 0.2 * title.count("\n") + 1.8))
-    panels = figure.subplots(1, len(_AGGREGATES), sharey=True)
+    columns = min(len(panels), 4)
+    lines = ceil(len(panels) / columns)
+    width = max(2.0 * columns + 1.8, 6.4)
+    title = "\n".join(wrap(title, int(width * 12.5)))
+    figure = Figure(figsize=(width, lines * (0.26 * len(methods) + 0.8) + 0.2 * title.count("\n") + 1.0))
+    axes = list(figure.subplots(lines, columns, sharey=True, sharex=alike, squeeze=False).flat)
     figure.suptitle(title, fontsize=9)
-    shown = looks(comparison.methods)
-    for panel, (name, label) in zip(panels, _AGGREGATES.items(), strict=True):
-        for row, standing in enumerate(comparison.standings):
-            _draw_estimate(panel, row, standing, name, shown[standing.method]["color"])
+    shown = looks(methods)
+    for place, (panel, (label, estimates)) in enumerate(zip(axes, panels.items(), strict=False)):
+        for row, method in enumerate(methods):
+            if method in estimates:
+                _draw_estimate(panel, row, estimates[method], shown[method]["color"])
         panel.set_title(label)
-        panel.set_xlabel("smaller is better" if name == "optimality_gap" else "larger is better")
+        panel.set_xlabel("smaller is better" if label == smaller else "larger is better")
         panel.tick_params(axis="y", length=0)
         panel.margins(x=0.06)
         panel.grid(axis="x", linewidth=0.4, color="#DDDDDD")
         panel.set_axisbelow(True)
         panel.locator_params(axis="x", nbins=5)
-    _name_rows(panels[0], comparison.standings)
-    handles = [
-        Line2D([], [], color="#404040", linewidth=3.2, label="cluster bootstrap (datasets)"),
-        Line2D([], [], color="#909090", linewidth=1.0, label="stratified bootstrap (runs, too narrow)"),
-        Line2D([], [], color="#404040", marker="o", markersize=4, linestyle="", markerfacecolor="white", label="a single seed"),
-    ]
+        if place % columns == 0:
+            _name_rows(panel, methods)
+    for panel in axes[len(panels) :]:
+        panel.set_visible(False)
+    every = [estimate for estimates in panels.values() for estimate in estimates.values()]
+    handles = [Line2D([], [], color="#404040", linewidth=3.2, label="cluster bootstrap (datasets)")]
+    if any(estimate.stratified for estimate in every):
+        handles.append(Line2D([], [], color="#909090", linewidth=1.0, label="stratified bootstrap (runs, too narrow)"))
+    if any(estimate.cluster is None for estimate in every):
+        single: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "", "markerfacecolor": "white"}
+        handles.append(Line2D([], [], color="#404040", label="a single seed", **single))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     return figure
 
@@ -67,8 +105,7 @@ def draw_profiles(overall: Overall) -> Figure:
     """The share of seeds x tasks whose score is above τ, for each method, with pointwise 95 % bands by the cluster bootstrap."""
     comparison = overall.headline
     shown = looks(comparison.methods)
-    legend = {_short(method): look for method, look in shown.items()}
-    figure, (panel,) = framed(_title("Performance profiles, band: 95 %", overall, 0), legend, 1, 1, height=3.4)
+    figure, (panel,) = framed(_title("Performance profiles, band: 95 %", overall, 0), legend(shown), 1, 1, height=3.4)
     for standing in comparison.standings:
         look = shown[standing.method]
         panel.plot(THRESHOLDS, standing.profile, linewidth=0.8 if standing.band is None else 1.4, **look)
@@ -100,19 +137,19 @@ def draw_ranks(overall: Overall) -> Figure:
             colour = shown[standing.method]["color"]
             panel.add_patch(Rectangle((rank + 0.5, row - 0.5), 1, 1, facecolor=colour, alpha=share, linewidth=0))
             if share >= 0.005:
-                ink = "white" if _is_dark(colour, share) else "black"
+                ink = "white" if luminance(colour, share) < 0.5 else "black"
                 panel.text(rank + 1, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=7.5, color=ink)
     panel.set_xlim(0.5, count + 0.5)
     panel.set_xticks(range(1, count + 1))
     panel.set_xlabel("rank (1: largest IQM)")
-    _name_rows(panel, standings)
+    _name_rows(panel, [standing.method for standing in standings])
     return figure
 
 
-def _draw_estimate(panel: Axes, row: int, standing: Standing, name: str, colour: Any) -> None:
-    estimate = standing.estimates[name]
-    if estimate.cluster and estimate.stratified:
+def _draw_estimate(panel: Axes, row: int, estimate: Estimate, colour: Any) -> None:
+    if estimate.cluster:
         panel.plot([estimate.cluster.low, estimate.cluster.high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")
+    if estimate.stratified:
         # Above the other, and not on it: where both are alike each can be seen.
         above = row - 0.3
         panel.plot([estimate.stratified.low, estimate.stratified.high], [above, above], color="#909090", linewidth=1.0)
@@ -120,17 +157,9 @@ def _draw_estimate(panel: Axes, row: int, standing: Standing, name: str, colour:
     panel.plot([estimate.value], [row], marker="o", markersize=4.5, color=face, markeredgecolor="black" if estimate.cluster else colour)
 
 
-def _is_dark(colour: str, alpha: float) -> bool:
-    """Whether black text is hard to read on a colour of that strength over white (relative luminance of ITU-R BT.709, below one half)."""
-    from matplotlib.colors import to_rgb
-
-    red, green, blue = (1 - alpha * (1 - part) for part in to_rgb(colour))
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.5
-
-
-def _name_rows(panel: Axes, standings: Sequence[Standing]) -> None:
-    panel.set_ylim(len(standings) - 0.5, -0.5)
-    panel.set_yticks(range(len(standings)), [_short(standing.method) for standing in standings])
+def _name_rows(panel: Axes, methods: Sequence[str]) -> None:
+    panel.set_ylim(len(methods) - 0.5, -0.5)
+    panel.set_yticks(range(len(methods)), list(legend(looks(methods))))
     panel.tick_params(axis="y", length=0)
 
 
@@ -141,8 +170,3 @@ def _title(what: str, overall: Overall, width: int) -> str:
 
 def _scope(comparison: Comparison) -> str:
     return f"{comparison.title}, {comparison.seeds}{', preliminary' if comparison.preliminary else ''}"
-
-
-def _short(method: str) -> str:
-    name = plain(method)
-    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"

@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from statistics import fmean
 from typing import TypeVar
 
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 
-from .table import Cell, Row, Section, Table
+from .table import Cell, Table
 
 CITATION = (
     "Sun, Qian and Miao, CUDC: A Curiosity-Driven Unsupervised Data Collection Method with Adaptive Temporal Distances for Offline"
@@ -34,26 +33,21 @@ class Beside:
     """A cell of ours beside the paper's, for the same evaluator, domain, task, method and number of gradient steps.
 
     Attributes:
-        milestone, task, method: which; ``task`` may be ``"mean"`` for relative scores.
-        ours: our cell; None for a mean over tasks.
-        paper: its mean and standard deviation; None where the paper has only a relative score.
-        relative: our mean divided by our CUDC's (for ``"mean"``: the mean of these over tasks); None where the paper has none or CUDC is
-            missing.
-        paper_relative: the paper's relative score, if it has one.
+        milestone, task, method: which.
+        ours: our cell.
+        paper: its mean and standard deviation.
     """
 
     milestone: int
     task: str
     method: str
-    ours: Cell | None
-    paper: tuple[float, float] | None
-    relative: float | None = None
-    paper_relative: float | None = None
+    ours: Cell
+    paper: tuple[float, float]
 
     @property
     def difference(self) -> float | None:
         """Our mean minus the paper's, in units of the paper's standard deviation."""
-        return (self.ours.mean - self.paper[0]) / self.paper[1] if self.ours and self.paper and self.paper[1] > 0 else None
+        return (self.ours.mean - self.paper[0]) / self.paper[1] if self.paper[1] > 0 else None
 
 
 @dataclass(frozen=True)
@@ -63,63 +57,52 @@ class PaperTable:
     Attributes:
         table: ours.
         rows: cells that both have, by milestone, task and method.
-        relative: relative scores that both have.
     """
 
     table: Table
     rows: tuple[Beside, ...]
-    relative: tuple[Beside, ...]
 
     @property
     def caption(self) -> str:
         """What the numbers are, and that the two columns do not belong in one ranking."""
-        group = self.table.group
-        scale = (
-            "Profile paper: the paper's sizes, but another implementation."
-            if group == "paper"
-            else f"SIZES DIFFER: this is profile {group}, not the paper's 1M steps of collection and 500K gradient steps at width 1024."
-        )
-        return (
-            f"Reported in the paper; another protocol scale, not to be ranked with our own results. {scale}"
-            " Here: mean and sample standard deviation over collector seeds, whose number is in brackets. Paper: mean and standard"
-            " deviation over five seeds. Difference: here minus paper, in units of the paper's standard deviation. Relative: score divided"
-            f" by CUDC's. Source: {CITATION}."
-        )
+        return caption(self.table.group)
+
+
+def caption(group: str) -> str:
+    """What the numbers of a table are that shows the paper's beside those of a group of ours."""
+    return (
+        f"{scale(group)} Here: mean and sample standard deviation over collector seeds, whose number is in brackets. Paper: mean and"
+        " standard deviation over five seeds. Difference: here minus paper, in units of the paper's standard deviation."
+        f" Source: {CITATION}."
+    )
+
+
+def scale(group: str) -> str:
+    """How far a group of ours can be compared with the paper."""
+    sizes = (
+        "Profile paper: the paper's sizes, but another implementation."
+        if group == "paper"
+        else f"SIZES DIFFER: this is profile {group}, not the paper's 1M steps of collection and 500K gradient steps at width 1024."
+    )
+    return f"Reported in the paper; another protocol scale, not to be ranked with our own results. {sizes}"
 
 
 def beside_paper(table: Table) -> PaperTable | None:
     """The cells of a table that the paper reports, too; None if there are none."""
-    rows, relative = [], []
-    for section in table.sections:
-        for row in section.rows:
-            for method, cell in zip(table.methods, row.cells, strict=True):
-                paper = reported().get((table.algorithm, table.domain, row.task, method, section.milestone))
-                if cell and paper:
-                    rows.append(Beside(section.milestone, row.task, method, cell, paper))
-        relative += _relative(table, section)
-    return PaperTable(table, tuple(rows), tuple(relative)) if rows or relative else None
+    rows = [
+        found
+        for section in table.sections
+        for row in section.rows
+        for method, cell in zip(table.methods, row.cells, strict=True)
+        if (found := beside(table.algorithm, table.domain, section.milestone, row.task, method, cell))
+    ]
+    return PaperTable(table, tuple(rows)) if rows else None
 
 
-def _relative(table: Table, section: Section) -> list[Beside]:
-    found: list[Beside] = []
-    known = DOMAINS[table.domain].tasks if table.domain in DOMAINS else ()
-    for index, method in enumerate(table.methods):
-        ratios = {row.task: ratio for row in section.rows if row.task in known and (ratio := _ratio(table, row, index)) is not None}
-        if known and all(task in ratios for task in known):
-            ratios[MEAN] = fmean(ratios[task] for task in known)
-        for task, ratio in ratios.items():
-            paper = reported_relative().get((table.algorithm, table.domain, task, method, section.milestone))
-            # CUDC's own are 1 by definition.
-            if paper is not None and method != "cudc":
-                cell = next((row.cells[index] for row in section.rows if row.task == task), None)
-                found.append(Beside(section.milestone, task, method, cell, None, ratio, paper))
-    return sorted(found, key=lambda one: [*table.tasks, MEAN].index(one.task))
-
-
-def _ratio(table: Table, row: Row, index: int) -> float | None:
-    cudc = row.cells[table.methods.index("cudc")] if "cudc" in table.methods else None
-    cell = row.cells[index]
-    return cell.mean / cudc.mean if cell and cudc and cudc.mean > 0 else None
+def beside(algorithm: str, domain: str, milestone: int, task: str, method: str, cell: Cell | None) -> Beside | None:
+    """A cell beside the paper's; None if either is missing. ``method`` is the name that the paper's study has for it."""
+    paper = reported().get((algorithm, domain, task, method, milestone))
+    return Beside(milestone, task, method, cell, paper) if cell and paper else None
 
 
 @cache

@@ -93,12 +93,11 @@ def paper_to_csv(paper: PaperTable) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "paper_mean", "paper_std",
-                     "difference_in_paper_std", "relative_to_cudc", "paper_relative_to_cudc"])  # fmt: skip
+                     "difference_in_paper_std"])  # fmt: skip
     table = paper.table
-    for row in (*paper.rows, *paper.relative):
-        ours = [row.ours.mean, row.ours.std, row.ours.n] if row.ours else [None] * 3
-        theirs = [*(row.paper or (None, None)), row.difference, row.relative, row.paper_relative]
-        writer.writerow([table.group, table.algorithm, table.domain, row.milestone, row.task, row.method, *ours, *theirs])
+    for row in paper.rows:
+        values = [row.ours.mean, row.ours.std, row.ours.n, *row.paper, row.difference]
+        writer.writerow([table.group, table.algorithm, table.domain, row.milestone, row.task, row.method, *values])
     return text.getvalue()
 
 

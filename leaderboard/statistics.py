@@ -166,6 +166,48 @@ def _ends(values: NDArray[np.floating[Any]], share: float) -> tuple[Floats, Floa
     return at(share), at(1 - share)
 
 
+def cluster_interval(scores: Floats, name: str, aggregate: str = "iqm") -> Interval | None:
+    """The 95 % interval of one of :data:`AGGREGATES` of one domain's scores (n, T) by the cluster bootstrap; None for a single seed.
+
+    ``name`` as in :func:`draw`: with a method's, the same datasets are drawn as in every other comparison of it.
+    """
+    n, tasks = scores.shape
+    if n < 2:
+        return None
+    found = bootstrapped(scores, np.zeros(tasks, np.int64), counted(draw(n, 1, name)))
+    return interval(found[list(AGGREGATES).index(aggregate)], tail([n]))
+
+
+def relative(x: Floats, y: Floats) -> float | None:
+    """Scores of one method as a share of another's: (n_x, T), (n_y, T) -> the mean over tasks of the ratios of means over seeds.
+
+    None if a mean of ``y`` is not above 0: there is no share of it.
+    """
+    below = y.mean(0)
+    return float((x.mean(0) / below).mean()) if (below > 0).all() else None
+
+
+def relative_interval(x: Floats, y: Floats, x_name: str, y_name: str) -> Interval | None:
+    """The 95 % interval of :func:`relative` by the cluster bootstrap of both methods' datasets; names as in :func:`draw`.
+
+    None if either has a single seed, or if a resample of ``y`` has no mean above 0, so that the share has no bound.
+    """
+    if min(len(x), len(y)) < 2:
+        return None
+    above, below = (_means(z, counted(draw(len(z), 1, name))[0]) for z, name in ((x, x_name), (y, y_name)))
+    if not (below > 0).all():
+        return None
+    return interval((above / below).mean(0), tail([len(x), len(y)]))
+
+
+def _means(scores: Floats, counts: Counts) -> Floats:
+    """The mean over seeds in each resample: scores (n, T), counts (n, B) -> (T, B)."""
+    total = np.zeros((scores.shape[1], counts.shape[1]))
+    for row, count in zip(scores, counts, strict=True):
+        total += count * (row / len(scores))[:, None]
+    return total
+
+
 def profile(scores: Floats, thresholds: Floats) -> Floats:
     """Share of seeds x tasks whose score is above each threshold: (n, T) and (k,) -> (k,)."""
     return np.asarray((scores[..., None] > thresholds).mean((0, 1)))

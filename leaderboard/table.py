@@ -21,6 +21,7 @@ from cudc_bench.ids import domain_slug
 from cudc_bench.records import Record
 
 from .load import column, evaluation_at, plain, short, submitted_columns
+from .plans import STUDY_METHODS, canonical
 from .statistics import SIGNIFICANCE, holm
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
@@ -64,8 +65,67 @@ class Section:
 
 
 @dataclass(frozen=True)
+class Block:
+    """Records of one group, algorithm and domain with the same milestones: they may be compared with one another.
+
+    Attributes:
+        group, algorithm, domain: as of its records; ``group`` is not yet fit for showing.
+        milestones: gradient steps, ascending.
+        records: those of each method (see :func:`~.load.column`) on each task.
+    """
+
+    group: str
+    algorithm: str
+    domain: str
+    milestones: tuple[int, ...]
+    records: Mapping[tuple[str, str], Sequence[Record]] = field(repr=False)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The paper's baselines and CUDC in the paper's order, then others by name."""
+        return ordered({method for method, _ in self.records}, METHOD_ORDER)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The domain's tasks in its order, whether they have records or not, then others by name."""
+        known = DOMAINS[self.domain].tasks if self.domain in DOMAINS else ()
+        return ordered({*known, *(task for _, task in self.records)}, known)
+
+    @property
+    def slug(self) -> str:
+        """A safe and unique name for files."""
+        return slug(self.group, self.algorithm, self.domain)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Some methods of a block as figures show them.
+
+    Attributes:
+        group, algorithm, domain: which block; ``group`` on one line.
+        methods, tasks, milestones: what there is to show; every task has records.
+        records: those of a method on a task, if there are some.
+        cells: the result of a method on a task at a milestone, if there is one.
+    """
+
+    group: str
+    algorithm: str
+    domain: str
+    methods: tuple[str, ...]
+    tasks: tuple[str, ...]
+    milestones: tuple[int, ...]
+    records: Mapping[tuple[str, str], Sequence[Record]] = field(repr=False)
+    cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
+
+    @property
+    def seeds(self) -> str:
+        """How many collector seeds are behind a cell, such as ``"5 seeds"`` or ``"1 to 3 seeds"``."""
+        return span([cell.n for cell in self.cells.values()] or [0], "seed")
+
+
+@dataclass(frozen=True)
 class Table:
-    """Results that may be compared with one another.
+    """Results that may be compared with one another: all methods but those that exist for studies only.
 
     Attributes:
         group: profile and whatever differs from it, on one line (see ``Record.group``).
@@ -100,9 +160,24 @@ class Table:
         return span([cell.n for cell in self.cells] or [0], "seed")
 
     @property
+    def runs(self) -> Runs:
+        """The same for figures."""
+        records = by_cell(self.records)
+        cells = {
+            (section.milestone, row.task, method): cell
+            for section in self.sections
+            for row in section.rows
+            for method, cell in zip(self.methods, row.cells, strict=True)
+            if cell
+        }
+        tasks = tuple(task for task in self.tasks if any((method, task) in records for method in self.methods))
+        milestones = tuple(section.milestone for section in self.sections)
+        return Runs(self.group, self.algorithm, self.domain, self.methods, tasks, milestones, records, cells)
+
+    @property
     def commands(self) -> list[str]:
         """The commands that make the records again, without repeats."""
-        return sorted({plain(record.command) for record in self.records})
+        return commands(self.records)
 
     @property
     def submissions(self) -> list[str]:
@@ -123,6 +198,8 @@ class Table:
         episodes = ", ".join(f"{_span(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
         preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
         imported = any(record.dataset.source for record in self.records)
+        twins = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
+                        if one.dataset.source is None and canonical(one.dataset.method) != one.dataset.method})  # fmt: skip
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
             f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets. Bold in each task:"
@@ -130,6 +207,7 @@ class Table:
             " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
+            + (f" Another name of the same setting: {', '.join(twins)}." if twins else "")
             + submitted_caption(submitted_columns(self.records))
             + (" Preliminary: fewer than five seeds." if preliminary else "")
         )
@@ -150,33 +228,84 @@ def origins(records: Iterable[Record]) -> str:
 
 
 def build_tables(records: Iterable[Record]) -> tuple[list[Table], list[str]]:
-    """Sort records into tables; results of different groups never share one.
-
-    Records whose milestones differ from those of most others in their table are left out of it.
+    """Sort records into the main tables; results of different groups never share one.
 
     Returns:
         The tables, by domain, algorithm and group, and one line for each problem.
     """
+    blocks, problems = build_blocks(records)
+    return tables_of(blocks), problems
+
+
+def build_blocks(records: Iterable[Record]) -> tuple[list[Block], list[str]]:
+    """Sort records into what may be compared.
+
+    Records whose milestones differ from those of most others in their block are left out of it. Of two datasets of one setting and seed
+    under two names (see ``plans.ALIASES``) one is left out: they would otherwise count as two trainings on one dataset.
+
+    Returns:
+        The blocks, by domain, algorithm and group, and one line for each problem.
+    """
     split: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
     for record in records:
         split[record.dataset.domain, record.algorithm, record.group].append(record)
-    tables, problems = [], []
+    blocks, problems = [], []
     for domain, algorithm, group in sorted(split):
-        same, odd = _agree(split[domain, algorithm, group])
-        table = _build(group, algorithm, domain, same)
-        tables.append(table)
-        problems += [f"table {table.slug}: {problem}" for problem in (*odd, *_doubts(same))]
-    return tables, problems
+        single, twins = _without_twins(split[domain, algorithm, group])
+        same, odd = _agree(single)
+        block = Block(group, algorithm, domain, _milestones(same[0]), by_cell(same))
+        blocks.append(block)
+        problems += [f"table {block.slug}: {problem}" for problem in (*twins, *odd, *_doubts(same))]
+    return blocks, problems
+
+
+def tables_of(blocks: Iterable[Block]) -> list[Table]:
+    """The main table of each block, unless it has nothing but methods that exist for studies only."""
+    return [_build(block, methods) for block in blocks if (methods := [name for name in block.methods if name not in STUDY_METHODS])]
+
+
+def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
+    """Records of each method (see :func:`~.load.column`) on each task."""
+    found: dict[tuple[str, str], list[Record]] = defaultdict(list)
+    for record in records:
+        found[column(record), record.dataset.task].append(record)
+    return dict(found)
+
+
+def commands(records: Iterable[Record]) -> list[str]:
+    """The commands that make records again, without repeats."""
+    return sorted({plain(record.command) for record in records})
 
 
 def seed_scores(records: Iterable[Record], step: int) -> list[float]:
     """The mean return of each collector seed after ``step`` gradient steps; seeds without an evaluation there are absent."""
+    return list(scores_by_seed(records, step).values())
+
+
+def scores_by_seed(records: Iterable[Record], step: int) -> dict[int, float]:
+    """The same by collector seed, ascending. Several training runs on one dataset count once, as their mean."""
     seeds: dict[int, list[float]] = defaultdict(list)
     for record in records:
         score = record.score(step)
         if score is not None:
             seeds[record.dataset.seed].append(score)
-    return [fmean(scores) for _, scores in sorted(seeds.items())]
+    return {seed: fmean(scores) for seed, scores in sorted(seeds.items())}
+
+
+def _without_twins(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
+    names: dict[tuple[str, int], Counter[str]] = defaultdict(Counter)
+    for record in records:
+        names[column(record), record.dataset.seed][record.dataset.method] += 1
+    kept = {}
+    problems = []
+    for (name, seed), found in sorted(names.items()):
+        # The one with more runs; if both have as many, that under whose name both are compared.
+        kept[name, seed] = max(found, key=lambda method: (found[method], method == name, method))
+        problems += [
+            f"{method}, seed {seed}, is left out: it is the same setting as {kept[name, seed]}, which has that seed, too."
+            for method in sorted(found.keys() - {kept[name, seed]})
+        ]
+    return [one for one in records if one.dataset.method == kept[column(one), one.dataset.seed]], problems
 
 
 def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
@@ -217,28 +346,28 @@ def span(counts: Iterable[int], what: str) -> str:
     return f"{_span(low, high)} {what if high == 1 else f'{what}s'}"
 
 
-def _build(group: str, algorithm: str, domain: str, records: Sequence[Record]) -> Table:
-    methods = ordered({column(record) for record in records}, METHOD_ORDER)
-    known = DOMAINS[domain].tasks if domain in DOMAINS else ()
-    tasks = ordered({*known, *(record.dataset.task for record in records)}, known)
-    cells: dict[tuple[str, str], list[Record]] = defaultdict(list)
-    for record in records:
-        cells[record.dataset.task, column(record)].append(record)
+def _build(block: Block, methods: Sequence[str]) -> Table:
+    own = {key: records for key, records in block.records.items() if key[0] in methods}
+    records = tuple(record for found in own.values() for record in found)
+    known = DOMAINS[block.domain].tasks if block.domain in DOMAINS else ()
+    tasks = ordered({*known, *(task for _, task in own)}, known)
     sections = []
-    for milestone in _milestones(records[0]):
-        rows = [Row(task, _best([_cell(cells[task, method], milestone) for method in methods])) for task in tasks]
+    for milestone in block.milestones:
+        rows = [Row(task, mark_best([build_cell(own.get((name, task), ()), milestone) for name in methods])) for task in tasks]
         evaluations = [evaluation_at(record, milestone) for record in records]
         episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
         sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
-    return Table(plain(group), algorithm, domain, slug(group, algorithm, domain), methods, tuple(sections), tuple(records))
+    return Table(plain(block.group), block.algorithm, block.domain, block.slug, tuple(methods), tuple(sections), records)
 
 
-def _cell(records: Sequence[Record], milestone: int) -> Cell | None:
+def build_cell(records: Iterable[Record], milestone: int) -> Cell | None:
+    """The result of one method's records on one task; None if none was evaluated at the milestone."""
     scores = seed_scores(records, milestone)
     return Cell(fmean(scores), stdev(scores) if len(scores) > 1 else None, len(scores)) if scores else None
 
 
-def _best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
+def mark_best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
+    """The same cells; the best of several methods on one task, and those that are not significantly worse, are marked."""
     present = [cell for cell in cells if cell]
     if len(present) < 2:
         return tuple(cells)

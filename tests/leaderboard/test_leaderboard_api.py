@@ -11,7 +11,7 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 
-FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf"}
+FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf", "bars.svg", "bars.pdf"}
 OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
 RANKS = {"ranks.svg", "ranks.pdf"}
 

@@ -53,7 +53,7 @@ def test_a_panel_for_each_task_and_a_line_for_each_method(make_record):
             make_record(method="random", task="run"),
         ]
     )
-    stand, run = draw_curves(table).axes
+    stand, run = draw_curves(table.runs).axes
     assert (stand.get_title(), run.get_title()) == ("stand", "run")
     assert len(lines_of(stand)) == 1
     assert (len(lines_of(run)), len(run.collections)) == (2, 1)
@@ -66,7 +66,7 @@ def test_a_panel_for_each_task_and_a_line_for_each_method(make_record):
 
 
 def test_returns_of_unknown_tasks_are_not_cut_off(make_record):
-    panel = draw_curves(only([make_record(task="juggle", final=[5000.0])])).axes[0]
+    panel = draw_curves(only([make_record(task="juggle", final=[5000.0])]).runs).axes[0]
     assert panel.get_ylim()[1] >= 5000
 
 

@@ -243,8 +243,8 @@ def test_an_imported_dataset_has_a_column_of_its_own_for_each_size(make_record):
 
 def test_a_figure_draws_an_imported_dataset_as_a_line_of_its_own(make_record):
     imported = make_record(method="cudc", dataset_source="ExORL", dataset_profile="imported", dataset_steps=10_000_000)
-    figure = draw_curves(only([make_record(), imported])[0])
+    figure = draw_curves(only([make_record(), imported])[0].runs)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["cudc", "cudc (ExORL, 10M)"]
     (panel,) = [panel for panel in figure.axes if panel.get_visible()]
     solid, dashed = [line for line in panel.lines if line.get_linestyle() != ":"]
-    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "-.")

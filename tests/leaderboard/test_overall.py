@@ -24,7 +24,7 @@ from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.figures import _STYLE
 from cudc_bench.leaderboard.overall import ALL, THRESHOLDS, Overall, build_overall
-from cudc_bench.leaderboard.overall_figures import draw_intervals, draw_profiles, draw_ranks, overall_figure_files
+from cudc_bench.leaderboard.overall_figures import draw_domains, draw_intervals, draw_profiles, draw_ranks, overall_figure_files
 from cudc_bench.leaderboard.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
 from cudc_bench.leaderboard.statistics import Interval
 from cudc_bench.leaderboard.table import METHOD_ORDER, build_tables
@@ -108,11 +108,11 @@ def test_training_runs_on_one_dataset_are_one_seed(runs: Callable) -> None:
 
 
 def test_a_method_without_a_domain_is_compared_on_the_others(runs: Callable) -> None:
-    overall = only([*runs("cudc"), *runs("random"), *runs("cudc-no-pe", domains=("walker",))])
+    overall = only([*runs("cudc"), *runs("random"), *runs("rnd", domains=("walker",))])
     every, walker, jaco = overall.comparisons[:3]
     assert every.methods == ("random", "cudc")
-    assert every.left_out == ("cudc-no-pe: it has no results on jaco.",)
-    assert walker.methods == ("random", "cudc", "cudc-no-pe")
+    assert every.left_out == ("rnd: it has no results on jaco.",)
+    assert walker.methods == ("random", "cudc", "rnd")
     assert jaco.methods == ("random", "cudc")
     assert len(every.tasks) == 8
 
@@ -316,9 +316,9 @@ def test_figures_of_twelve_methods_have_no_text_upon_another(runs: Callable) -> 
 def test_figures_are_repeatable_and_show_what_they_should(runs: Callable) -> None:
     overall = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm", range(1, 2))])
     files = overall_figure_files(overall)
-    assert set(files) == {f"{name}.{kind}" for name in ("intervals", "profiles", "ranks") for kind in ("svg", "pdf")}
+    assert set(files) == {f"{name}.{kind}" for name in ("intervals", "profiles", "ranks", "domains") for kind in ("svg", "pdf")}
     assert files == overall_figure_files(overall)
-    for name in ("intervals", "profiles", "ranks"):
+    for name in ("intervals", "profiles", "ranks", "domains"):
         texts = {element.text for element in ElementTree.fromstring(files[f"{name}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
         assert "cudc" in texts
         assert ("icm" in texts) == (name != "ranks")
@@ -327,3 +327,8 @@ def test_figures_are_repeatable_and_show_what_they_should(runs: Callable) -> Non
     iqm = overall.headline.standings[2].estimates["iqm"]
     assert {(iqm.value,), (iqm.cluster.low, iqm.cluster.high), (iqm.stratified.low, iqm.stratified.high)} <= lines
     assert "ranks.svg" not in overall_figure_files(only(runs("cudc", range(1, 2))))
+    every, walker, jaco = draw_domains(overall).axes
+    assert [panel.get_title() for panel in (every, walker, jaco)] == [ALL, "walker", "jaco"]
+    assert (iqm.value,) in {tuple(line.get_xdata()) for line in every.lines}
+    assert every.get_xlim() == walker.get_xlim() == jaco.get_xlim()
+    assert "domains.svg" not in overall_figure_files(only(runs("cudc", domains=("jaco",))))

@@ -60,7 +60,6 @@ def test_ours_stand_beside_the_same_cells_only(paper_record: Callable) -> None:
     first, last = found.rows
     assert (first.milestone, first.task, first.method, first.ours.mean, first.paper) == (100_000, "walk", "cudc", 801.5, (827, 64))
     assert last.difference == pytest.approx((915 - 893) / 34)
-    assert found.relative == ()
     text = paper_to_markdown(found)
     assert "| walk | cudc | 915 ± 7 (2) | 893 ± 34 | +0.6 |" in text
     assert "Profile paper: the paper's sizes, but another implementation." in text
@@ -90,19 +89,6 @@ def test_another_profile_is_said_to_be_of_another_size(change: dict, paper_recor
     for text in (paper_to_markdown(found), paper_to_latex(found)):
         assert "SIZES DIFFER: this is profile" in text
         assert "not to be ranked with our own results" in text
-
-
-def test_relative_scores_are_shares_of_our_own_cudc(paper_record: Callable) -> None:
-    records = [paper_record("cudc", task, 1, 100.0, 200.0 + i) for i, task in enumerate(TASKS)]
-    records += [paper_record("cudc-no-pe", task, 1, 50.0 + i, 200.0) for i, task in enumerate(TASKS)]
-    found = beside(records)
-    at_100k = {one.task: (one.relative, one.paper_relative) for one in found.relative if one.milestone == 100_000}
-    assert at_100k["walk"] == (0.51, 0.768)
-    assert at_100k["mean"] == (pytest.approx((0.50 + 0.51 + 0.52 + 0.53) / 4), 0.904)
-    assert "| mean | cudc-no-pe | 0.515 | 0.904 |" in paper_to_markdown(found)
-    # Without one task there is no mean over them; without CUDC there is no share.
-    assert "mean" not in {one.task for one in beside(records[:-1]).relative}
-    assert beside(records[4:]) is None
 
 
 def test_files_are_written_where_there_is_something_to_compare(

@@ -1,0 +1,98 @@
+"""One model for the tables of every study; :mod:`.grid_files` writes it as Markdown, LaTeX, CSV and for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from cudc_bench.records import Record
+
+from .statistics import Interval
+from .table import Cell
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A number, how sure it is, and the runs behind it.
+
+    Attributes:
+        value: the number.
+        std: sample standard deviation over collector seeds.
+        interval: of 95 %.
+        n: number of collector seeds.
+        best: whether it is marked.
+        records: what it was made from; empty for numbers of the paper.
+    """
+
+    value: float
+    std: float | None = None
+    interval: Interval | None = None
+    n: int | None = None
+    best: bool = False
+    records: tuple[Record, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What the numbers below a name are: shown with so many digits behind the point, ``signed`` with their sign."""
+
+    name: str
+    digits: int = 0
+    signed: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row: its labels, one for each of the grid's ``head``, and an entry for each column, None where there is no result."""
+
+    labels: tuple[str, ...]
+    entries: tuple[Entry | None, ...]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some rows under a heading of their own, such as ``"500K steps"``; ``key`` is the same as a value (500000) for CSV."""
+
+    title: str
+    key: int | str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table of a study.
+
+    Attributes:
+        name: in files' names; no two of a study have the same.
+        title, caption: what it shows, and what the numbers are; plain ASCII except for what records bring along.
+        split: what the parts differ in, such as ``"milestone"``; ``head``: what each of a row's labels is, such as ``"method"``.
+        columns: of every part.
+        parts: the rows.
+        long: too long for a terminal, which names its file instead.
+    """
+
+    name: str
+    title: str
+    caption: str
+    split: str
+    head: tuple[str, ...]
+    columns: tuple[Column, ...]
+    parts: tuple[Part, ...]
+    long: bool = False
+
+    def entries(self) -> Iterator[tuple[Part, Line, Column, Entry | None]]:
+        """All cells in reading order, the empty ones too."""
+        for part in self.parts:
+            for line in part.lines:
+                for column, entry in zip(self.columns, line.entries, strict=True):
+                    yield part, line, column, entry
+
+
+def of_cell(cell: Cell | None, records: Sequence[Record]) -> Entry | None:
+    """A mean return over collector seeds as an entry."""
+    return None if cell is None else Entry(cell.mean, cell.std, None, cell.n, cell.best, tuple(records))
+
+
+def number(value: float, column: Column) -> str:
+    """A number with its column's digits; what rounds to zero has no minus."""
+    return f"{round(value, column.digits) + 0.0:{'+' if column.signed else ''}.{column.digits}f}"
