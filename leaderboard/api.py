@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
+from cudc_bench.records import Record
 
 from .figures import curve_files
-from .files import only, write_files
-from .load import Loaded, load_records
+from .files import only
+from .incremental import Part, build
+from .load import Loaded, kept_from_collector, load_records
 from .missing import Missing, find_missing
 from .overall import Overall, build_overall
 from .overall_figures import overall_figure_files
@@ -63,6 +66,7 @@ def make_leaderboard(
     ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
     ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
     ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. Each file is replaced whole. The same records give the same bytes.
+    What has not changed since the last build is left alone, and what no record asks for any more is removed (see :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.
@@ -80,12 +84,20 @@ def make_leaderboard(
     records = only(records, "record", "profile", profile, lambda record: record.profile)
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
+    with kept_from_collector():
+        return _make(loaded, records, folder, whole=profile is domain is algo is None)
+
+
+def _make(loaded: Loaded, records: Sequence[Record], folder: Path | None, whole: bool) -> Report:
     tables, problems = build_tables(records)
     overall = build_overall(tables)
     files = []
     if folder is not None:
-        files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
-        files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
+        parts = [Part(table.slug, partial(_contents, table), loaded.inputs(table.records)) for table in tables]
+        for one in overall:
+            compared = [r for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm) for r in table.records]
+            parts.append(Part(one.slug, partial(_overall_contents, one), loaded.inputs(compared)))
+        files = build(folder, parts, whole)
     return Report(tables, overall, [*loaded.problems, *problems], find_missing(tables), files)
 
 
