@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
+from cudc_bench.records import Record
 
 from .figures import curve_files, draw_bars, figure_files
-from .files import only, write_files
+from .files import only
 from .grid_files import study_files
-from .load import Loaded, load_records
+from .incremental import Part, build
+from .load import Loaded, kept_from_collector, load_records
 from .missing import Missing, find_missing
 from .overall import Overall, build_overall
 from .overall_figures import overall_figure_files
@@ -69,7 +72,8 @@ def make_leaderboard(
     algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and its figures. For each group and algorithm
     ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and ``intervals``,
     ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in ``<output>/<profile>.learners/``. Each
-    file is replaced whole. The same records give the same bytes.
+    file is replaced whole. The same records give the same bytes. What has not changed since the last build is left alone, and what no
+    record asks for any more is removed (see :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.
@@ -87,15 +91,25 @@ def make_leaderboard(
     records = only(records, "record", "profile", profile, lambda record: record.profile)
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
+    with kept_from_collector():
+        return _make(loaded, records, folder, whole=profile is domain is algo is None)
+
+
+def _make(loaded: Loaded, records: Sequence[Record], folder: Path | None, whole: bool) -> Report:
     blocks, problems = build_blocks(records)
     tables = tables_of(blocks)
     overall = build_overall(tables)
     studies = build_studies(blocks, overall)
     files = []
     if folder is not None:
-        files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
-        files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
-        files += [file for study in studies for file in write_files(folder / study.folder, study_files(study))]
+        parts = [Part(table.slug, partial(_contents, table), loaded.inputs(table.records)) for table in tables]
+        for one in overall:
+            compared = [r for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm) for r in table.records]
+            parts.append(Part(one.slug, partial(_overall_contents, one), loaded.inputs(compared)))
+        for study in studies:
+            inputs = (*loaded.inputs(study.records), study.caption, *study.notes)
+            parts.append(Part(study.folder, partial(study_files, study), inputs, study.name))
+        files = build(folder, parts, whole)
     missing = find_missing(tables, [one for study in studies for one in study.wanted])
     return Report(tables, overall, studies, [*loaded.problems, *problems], missing, files)
 

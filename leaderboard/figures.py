@@ -66,6 +66,9 @@ def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
     # The user's own matplotlib settings must not change the figure.
     with style.context(_STYLE, after_reset=True):
         figure = draw()
+        # One layout for both; each would otherwise draw everything once more to find its own.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
         return {
             f"{name}.svg": _saved(figure, "svg", {"Date": None}),
             f"{name}.pdf": _saved(figure, "pdf", {"CreationDate": None}),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
 from cudc_bench.progress import bar_if_long
 from cudc_bench.provenance import is_own_command
-from cudc_bench.records import Evaluation, Record, read_record
+from cudc_bench.records import Evaluation, Record, parse_record, read_content
 
 from .plans import canonical
 
@@ -34,10 +35,16 @@ class Loaded:
     Attributes:
         records: usable records, each training run once, in the order of their files.
         problems: one line for each file that was left out, and why.
+        digests: a hash of each record's file, by the record's ``id``; see :meth:`inputs`.
     """
 
     records: tuple[Record, ...]
     problems: tuple[str, ...]
+    digests: Mapping[int, str] = field(default_factory=dict, repr=False)
+
+    def inputs(self, records: Iterable[Record]) -> tuple[str, ...]:
+        """What stands for some of the records where files are only made again if their inputs changed."""
+        return tuple(self.digests[id(record)] for record in records)
 
 
 def load_records(paths: Iterable[Path]) -> Loaded:
@@ -50,13 +57,14 @@ def load_records(paths: Iterable[Path]) -> Loaded:
         paths: existing files and folders; a file that is reached twice is read once.
     """
     kept: dict[tuple[str | int, ...], tuple[Path, Record]] = {}
-    problems = []
-    for path, record in read_all(paths):
+    problems, digests = [], {}
+    for path, record, digest in read_all(paths):
         if isinstance(record, RunError):
             problems.append(plain(str(record)))
             continue
         # Whoever hands in a run never takes the place of another's.
         by = "" if record.submission is None else record.submission.by
+        digests[id(record)] = digest
         run = (record.group, record.dataset.id, record.algorithm, record.seed, by)
         if run not in kept:
             kept[run] = (path, record)
@@ -64,21 +72,32 @@ def load_records(paths: Iterable[Path]) -> Loaded:
         old, new = sorted([kept[run], (path, record)], key=lambda entry: created(entry[1]))
         kept[run] = new
         problems.append(plain(f"{old[0]} is left out: {new[0]} is the same training run and not older."))
-    return Loaded(tuple(record for _, record in kept.values()), tuple(problems))
+    return Loaded(tuple(record for _, record in kept.values()), tuple(problems), digests)
 
 
-def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError]]:
-    """Every record below some paths, as :func:`load_records` finds them, or why it cannot be one."""
+def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError, str]]:
+    """Every record below some paths, as :func:`load_records` finds them, or why it cannot be one, and a hash of its file."""
     found = files(paths)
     with _without_collector(), bar_if_long("reading records", len(found), "files") as advance:
         for path in found:
             try:
-                record = read_record(path)
+                content = read_content(path)
+                record = parse_record(content, path)
                 why = impossible(record)
-                yield path, record if why is None else RunError(f"{path} is left out: {why}")
+                yield path, record if why is None else RunError(f"{path} is left out: {why}"), hashlib.sha256(content).hexdigest()
             except RunError as error:
-                yield path, error
+                yield path, error, ""
             advance(1)
+
+
+@contextmanager
+def kept_from_collector() -> Iterator[None]:
+    """Within this context the garbage collector does not look through what is there already."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from statistics import fmean
 
 import numpy as np
@@ -29,6 +29,7 @@ from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from . import statistics
+from .incremental import computed
 from .load import column, short, submitted_columns
 from .statistics import SIGNIFICANCE, Counts, Floats, Integers, Interval
 from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span, submitted_caption
@@ -211,8 +212,14 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
     found = []
     # Every milestone and algorithm draws the same for a method; they need no more memory than one of them.
     resamples = cache(lambda n, blocks, name: statistics.counted(statistics.draw(n, blocks, name)))
+    wanted = [(group, algorithm, one) for group, algorithm in sorted(groups) for one in _comparisons(groups[group, algorithm], resamples)]
+    compared_all: dict[tuple[str, str], list[Comparison]] = defaultdict(list)
+    results = computed([compare for _, _, compare in wanted], "comparing methods", "comparisons")
+    for (group, algorithm, _), comparison in zip(wanted, results, strict=True):
+        if comparison is not None:
+            compared_all[group, algorithm].append(comparison)
     for group, algorithm in sorted(groups):
-        comparisons = _comparisons(groups[group, algorithm], resamples)
+        comparisons = tuple(compared_all[group, algorithm])
         if comparisons:
             compared = {method for comparison in comparisons for method in comparison.methods}
             handed = submitted_columns(record for table in groups[group, algorithm] for record in table.records)
@@ -225,8 +232,9 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
 _Domain = dict[str, dict[str, dict[int, float]]]
 
 
-def _comparisons(tables: Sequence[Table], resamples: Resamples) -> tuple[Comparison, ...]:
-    found = []
+def _comparisons(tables: Sequence[Table], resamples: Resamples) -> list[Callable[[], Comparison | None]]:
+    """Functions that make them, where they can be made."""
+    found: list[Callable[[], Comparison | None]] = []
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
         domains, notes = {}, []
         for table in sorted(tables, key=lambda table: _place(table.domain)):
@@ -247,10 +255,9 @@ def _comparisons(tables: Sequence[Table], resamples: Resamples) -> tuple[Compari
         if len(domains) > 1:
             scopes += [(name, {name: results}) for name, results in domains.items()]
         for scope, part in scopes:
-            comparison = _compare(scope, milestone, part, notes if scope == ALL or len(domains) == 1 else [], resamples)
-            if comparison is not None:
-                found.append(comparison)
-    return tuple(found)
+            left_out = notes if scope == ALL or len(domains) == 1 else []
+            found.append(partial(_compare, scope, milestone, part, left_out, resamples))
+    return found
 
 
 def _place(domain: str) -> tuple[int, str]:

@@ -220,7 +220,7 @@ def profile_band(scores: Floats, blocks: Integers, counts: Counts, thresholds: F
     runs = np.zeros((len(thresholds), counts.shape[-1]), np.float32)
     for block, count in enumerate(counts):
         above = (scores[:, blocks == block, None] > thresholds).sum(1)
-        runs += above.T.astype(np.float32) @ count.astype(np.float32)
+        runs += np.einsum("nk,nb->kb", above.astype(np.float32), count.astype(np.float32))
     probability = tail([n] * len(counts))
     low, high = _ends(runs, probability)
     return low / (n * tasks), high / (n * tasks)
@@ -266,7 +266,8 @@ def improvement_interval(x: Floats, y: Floats, blocks: Integers, x_counts: Count
     # Whole numbers, exact in single precision: at most n_x n_y T pairs are won.
     wins = np.zeros(x_counts.shape[-1], np.float32)
     for signs, of_x, of_y in zip(_signs(x, y, blocks), x_counts, y_counts, strict=True):
-        wins += ((signs.T.astype(np.float32) @ of_x.astype(np.float32)) * of_y).sum(0)
+        # No library's threads: several processes do this at once, and these products are too small to share.
+        wins += (np.einsum("xy,xb->yb", signs.astype(np.float32), of_x.astype(np.float32)) * of_y).sum(0)
     distribution = 0.5 + 0.5 * wins.astype(np.float64) / (len(x) * len(y) * x.shape[1])
     domains = len(x_counts)
     return interval(distribution, tail([len(x)] * domains + [len(y)] * domains))

@@ -315,7 +315,7 @@ def _beside_others(
             yield f"{one.path}: '{one.place}' exists and is another; use --overwrite to replace it."
         places.setdefault(one.place, one.path)
     seen = _Seen()
-    for path, record in read_all([results] if candidates and results.exists() else []):
+    for path, record, _ in read_all([results] if candidates and results.exists() else []):
         if isinstance(record, Record) and path not in places:
             seen.add(path, record)
     for one in candidates:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
+from cudc_bench.leaderboard.incremental import LEDGER
 
 FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf", "bars.svg", "bars.pdf"}
 OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
@@ -24,7 +25,7 @@ def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path)
     expected = {(table.slug, name) for table in report.tables for name in FILES}
     expected |= {(overall.slug, name) for overall in report.overall for name in OVERALL}
     assert {(file.parent.name, file.name) for file in report.files} == expected
-    assert sorted(p for p in (tmp_path / "out").rglob("*") if p.is_file()) == sorted(report.files)
+    assert sorted(p for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != LEDGER) == sorted(report.files)
     assert report.problems == []
 
 
@@ -124,7 +125,7 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
     assert "broken.json is not a run record" in done.stderr.replace("\n", "")
     printed = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
     assert len(printed) == 2 * len(FILES | OVERALL)
-    assert set(printed) == {str(p) for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert set(printed) == {str(p) for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != LEDGER}
 
 
 def test_command_reads_results_by_default(make_record, save, tmp_path, monkeypatch):
