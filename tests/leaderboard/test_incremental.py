@@ -81,7 +81,7 @@ def test_parts_of_one_folder_are_made_and_removed_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "folder, name", [("b", "../victim"), ("b", "/{}/victim"), ("b", "x/../../victim"), ("..", "victim"), ("/{}", "victim")]
+    ("folder", "name"), [("b", "../victim"), ("b", "/{}/victim"), ("b", "x/../../victim"), ("..", "victim"), ("/{}", "victim")]
 )
 def test_a_ledger_from_anywhere_removes_nothing_outside(folder: str, name: str, tmp_path: Path) -> None:
     build(tmp_path / "out", parts_of({"a": 1}, []))
