@@ -53,3 +53,22 @@ def templates(folder: Path, escape: Callable[[str], str]) -> Environment:
         variable_start_string="<<", variable_end_string=">>", block_start_string="<%", block_end_string="%>",
         comment_start_string="<#", comment_end_string="#>", trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
+
+
+@cache
+def html_templates(folder: Path) -> Environment:
+    """Templates of HTML pages: every value is one line without control characters, and escaped unless it is ``Markup``.
+
+    Args:
+        folder: where they are.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finish(value: Any) -> Any:
+        return value if isinstance(value, Markup) else plain(str(value))
+
+    return Environment(
+        loader=FileSystemLoader(folder), undefined=StrictUndefined, finalize=finish, autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip

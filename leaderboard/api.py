@@ -8,8 +8,9 @@ from pathlib import Path
 
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
+from cudc_bench.markup import plain
 
-from .figures import curve_files
+from .figures import curve_files, task_files
 from .files import only, write_files
 from .load import Loaded, load_records
 from .missing import Missing, find_missing
@@ -28,6 +29,8 @@ from .render import (
     to_latex,
     to_markdown,
 )
+from .site import Run, Site, run_of, site_files
+from .site_datasets import datasets_of, find_local
 from .table import Table, build_tables
 
 
@@ -56,18 +59,22 @@ def make_leaderboard(
     profile: str | None = None,
     domain: str | None = None,
     algo: str | None = None,
+    datasets: bool = True,
 ) -> Report:
-    """Make tables and learning curves from run records.
+    """Make tables, learning curves and a static site from run records.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, and
-    ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, the same
+    figures for each task as ``task-<task>``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
     ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
-    ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. Each file is replaced whole. The same records give the same bytes.
+    ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. ``<output>/index.html`` is the site over all of them (see
+    :mod:`.site`). Each file is replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes.
 
     Args:
         results: a record or a folder of records, or several.
         output: the folder to write to; None writes nothing.
         profile, domain, algo: only records of that profile, domain or algorithm.
+        datasets: measure those of the records' datasets that are on this machine, for their pages; what was measured is kept in
+            ``<output>/datasets/measures.json``, so that each takes its seconds once.
 
     Raises:
         UsageError: there is no such path, no record, or no record of that profile, domain or algorithm; the output cannot be a folder.
@@ -81,12 +88,25 @@ def make_leaderboard(
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     tables, problems = build_tables(records)
-    overall = build_overall(tables)
-    files = []
+    overall, missing = build_overall(tables), find_missing(tables)
+    files: list[Path] = []
     if folder is not None:
-        files += [file for table in tables for file in write_files(folder / table.slug, _contents(table))]
-        files += [file for one in overall for file in write_files(folder / one.slug, _overall_contents(one))]
-    return Report(tables, overall, [*loaded.problems, *problems], find_missing(tables), files)
+        contents = {table.slug: _contents(table) for table in tables} | {one.slug: _overall_contents(one) for one in overall}
+        files += [file for slug, of_slug in contents.items() for file in write_files(folder / slug, of_slug)]
+        local, remarks = find_local(datasets_of(tables), folder) if datasets else ({}, [])
+        problems += remarks
+        site = Site(tables, overall, [*loaded.problems, *problems], missing, contents, _places(loaded, paths), local)
+        files += write_files(folder, site_files(site))
+    return Report(tables, overall, [*loaded.problems, *problems], missing, files)
+
+
+def _places(loaded: Loaded, paths: Sequence[Path]) -> dict[Run, str]:
+    """Where each record is below the folders that were asked for: the same wherever these are."""
+    found = {}
+    for record, file in zip(loaded.records, loaded.paths, strict=True):
+        above = next((path for path in paths if path != file and file.is_relative_to(path)), file.parent)
+        found[run_of(record)] = plain(file.relative_to(above).as_posix())
+    return found
 
 
 def _load(paths: Sequence[Path]) -> Loaded:
@@ -109,6 +129,7 @@ def _contents(table: Table) -> dict[str, str | bytes]:
         "table.tex": to_latex(table),
         "table.csv": to_csv(table),
         **curve_files(table),
+        **task_files(table),
     }
     paper = beside_paper(table)
     if paper is not None:

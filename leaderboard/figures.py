@@ -39,6 +39,14 @@ def curve_files(table: Table) -> dict[str, bytes]:
     return figure_files("curves", lambda: draw_curves(table))
 
 
+def task_files(table: Table) -> dict[str, bytes]:
+    """``task-<task>.svg`` and ``.pdf`` for each task that has records: its curves alone, larger."""
+    files: dict[str, bytes] = {}
+    for task in _with_records(table):
+        files |= figure_files(f"task-{task}", lambda task=task: draw_task(table, task))  # type: ignore[misc]
+    return files
+
+
 def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
     """``<name>.svg``, whose text stays text, and ``<name>.pdf`` of the figure that ``draw`` returns; neither holds a date."""
     from matplotlib import style
@@ -58,7 +66,7 @@ def draw_curves(table: Table) -> Figure:
     A line is the mean over collector seeds with a band of ± one sample standard deviation; a single seed is a thin line. Vertical
     dotted lines mark the milestones. The value after the last step is that of the final, larger evaluation, as in tables.
     """
-    tasks = [task for task in table.tasks if any(record.dataset.task == task for record in table.records)]
+    tasks = _with_records(table)
     what = f"{seeds_text(table.seeds)}, dotted: milestones"
     title = f"{table.algorithm} on {table.domain}, profile {table.group}: {what}"
     figure, panels = framed(title, looks(table.methods), len(tasks), _COLUMNS, sharey=True)
@@ -69,9 +77,25 @@ def draw_curves(table: Table) -> Figure:
     return figure
 
 
+def draw_task(table: Table, task: str) -> Figure:
+    """The same for one task, wide enough to follow each line."""
+    title = f"{table.algorithm} on {table.domain} {task}, profile {table.group}: {seeds_text(table.seeds)}, dotted: milestones"
+    figure, (panel,) = framed(title, looks(table.methods), 1, 1, height=3.6, width=7.6)
+    _draw_panel(panel, table, task)
+    panel.set_title("")  # The figure's says it.
+    panel.set_ylabel("return")
+    return figure
+
+
+def _with_records(table: Table) -> list[str]:
+    having = {record.dataset.task for record in table.records}
+    return [task for task in table.tasks if task in having]
+
+
 def framed(
-    title: str, methods: Mapping[str, dict[str, Any]], panels: int, columns: int, *, sharey: bool = False, height: float = 2.1
-) -> tuple[Figure, list[Axes]]:
+    title: str, methods: Mapping[str, dict[str, Any]], panels: int, columns: int, *, sharey: bool = False, height: float = 2.1,
+    width: float = 5.2,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
     """A figure of empty panels with a title above and the legend below, and the panels in reading order.
 
     Args:
@@ -79,13 +103,13 @@ def framed(
         methods: the entries of the legend: names and their :func:`looks`.
         panels: how many; ``columns``: at most so many beside each other.
         sharey: one vertical axis for all.
-        height: of a row of panels, in inches.
+        height: of a row of panels, in inches; ``width``: of the figure, at least.
     """
     from matplotlib.figure import Figure
 
     columns = min(panels, columns)
     rows = ceil(panels / columns)
-    width = max(2.4 * columns + 0.4, 5.2)
+    width = max(2.4 * columns + 0.4, width)
     lines = wrap(title, int(width * 13))
     # Points that an entry of the legend takes: its line and gaps, then about 5.5 for each letter.
     entries = max(1, int(width * 72 / (45 + 5.5 * max(map(len, methods)))))

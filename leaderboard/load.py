@@ -29,10 +29,12 @@ class Loaded:
     Attributes:
         records: usable records, each training run once, in the order of their files.
         problems: one line for each file that was left out, and why.
+        paths: the file of each record.
     """
 
     records: tuple[Record, ...]
     problems: tuple[str, ...]
+    paths: tuple[Path, ...] = ()
 
 
 def load_records(paths: Iterable[Path]) -> Loaded:
@@ -59,7 +61,7 @@ def load_records(paths: Iterable[Path]) -> Loaded:
         old, new = sorted([kept[run], (path, record)], key=lambda entry: _created(entry[1]))
         kept[run] = new
         problems.append(plain(f"{old[0]} is left out: {new[0]} is the same training run and not older."))
-    return Loaded(tuple(record for _, record in kept.values()), tuple(problems))
+    return Loaded(tuple(record for _, record in kept.values()), tuple(problems), tuple(path for path, _ in kept.values()))
 
 
 def to_frame(records: Iterable[Record]) -> pd.DataFrame:
