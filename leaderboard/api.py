@@ -29,8 +29,9 @@ from .render import (
     to_latex,
     to_markdown,
 )
-from .site import Run, Site, run_of, site_files
+from .site import site_files
 from .site_datasets import datasets_of, find_local
+from .site_parts import Run, Site, run_of
 from .table import Table, build_tables
 
 
@@ -64,10 +65,10 @@ def make_leaderboard(
     """Make tables, learning curves and a static site from run records.
 
     For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves.svg`` and ``curves.pdf``, the same
-    figures for each task as ``task-<task>``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too. For each group and algorithm
-    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and
-    ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. ``<output>/index.html`` is the site over all of them (see
-    :mod:`.site`). Each file is replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes.
+    figures for each task as ``task-<task>``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports,
+    too. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``,
+    ``scores.csv``, and ``intervals``, ``profiles`` and ``ranks`` as ``.svg`` and ``.pdf``. ``<output>/index.html`` is the site over all
+    of them (see :mod:`.site`). Each file is replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes.
 
     Args:
         results: a record or a folder of records, or several.

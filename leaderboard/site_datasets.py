@@ -110,7 +110,9 @@ def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
         records = together[key]
         one = records[0].dataset
         labelled = sorted({(record.dataset.task, record.dataset.id, record.dataset.fingerprint) for record in records})
-        word = file_word(name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key)))
+        word = file_word(
+            name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key))
+        )
         # Ids that differ in where a slash stands, and profiles under one id, must not share a page.
         word = f"{word[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
         found.append(

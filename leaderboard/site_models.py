@@ -40,6 +40,11 @@ class Item:
     picture: Markup | None = None
 
     @property
+    def simple(self) -> bool:
+        """Whether it is a text, or a text that leads somewhere, and nothing else; most are."""
+        return not self.best and self.scaled is None and not self.note and self.beside is None and self.picture is None
+
+    @property
     def missing(self) -> bool:
         """Whether there is nothing to sort by."""
         return self.text == MISSING and self.value is None and self.picture is None
@@ -109,7 +114,8 @@ class Exhibit:
         grids: tables; several if they are of different milestones.
         figures: images.
         downloads: names and paths of files.
-        lead: a paragraph above; ``text``: paragraphs below.
+        lead: a paragraph above; ``text``: paragraphs below, less important.
+        prose: paragraphs of a docstring, whose indented ones are formulas and whose double backticks mean code.
         facts: names and values; a value is a cell, which may lead somewhere.
         lines: a list.
         code: labels and texts to copy, such as commands; a label may be empty.
@@ -125,6 +131,7 @@ class Exhibit:
     downloads: tuple[tuple[str, str], ...] = ()
     lead: str = ""
     text: tuple[str, ...] = ()
+    prose: tuple[str, ...] = ()
     facts: tuple[tuple[str, Item], ...] = ()
     lines: tuple[Item, ...] = ()
     code: tuple[tuple[str, str], ...] = ()
@@ -191,7 +198,8 @@ def bar(low: float, value: float, high: float, largest: float, colour: str) -> M
     return Markup(
         '<svg class="strip" width="120" height="16" viewBox="0 0 120 16" aria-hidden="true">'
         '<rect class="panel" width="120" height="16" rx="3"/><path class="axis" d="M4 8H116"/>'
-        '<path d="M{a:.1f} 8H{b:.1f}" stroke="{c}" stroke-width="5" stroke-opacity="0.55"/><circle cx="{x:.1f}" cy="8" r="3.5" fill="{c}"/></svg>'
+        '<path d="M{a:.1f} 8H{b:.1f}" stroke="{c}" stroke-width="5" stroke-opacity="0.55"/>'
+        '<circle cx="{x:.1f}" cy="8" r="3.5" fill="{c}"/></svg>'
     ).format(a=a, b=b, x=x, c=colour)
 
 
@@ -214,6 +222,7 @@ def dots(values: Sequence[float], mean: float, largest: float, colour: str) -> M
 def swatch(colour: str, dashes: str) -> Markup:
     """A line as figures draw a method's, as inline SVG; ``dashes`` as SVG's ``stroke-dasharray``."""
     return Markup(
-        '<svg class="swatch" width="22" height="10" viewBox="0 0 22 10" aria-hidden="true"><rect class="panel" width="22" height="10" rx="2"/>'
+        '<svg class="swatch" width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">'
+        '<rect class="panel" width="22" height="10" rx="2"/>'
         '<path d="M3 5H19" stroke="{c}" stroke-width="2.5"{d}/></svg>'
     ).format(c=colour, d=Markup(' stroke-dasharray="{}"').format(dashes) if dashes else "")
