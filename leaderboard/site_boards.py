@@ -170,7 +170,7 @@ class Boards(Parts):
         highs = [one.estimates["iqm"].cluster.high for one in standings if one.estimates["iqm"].cluster]
         largest = ceil(10 * max([*highs, *(one.estimates["iqm"].value for one in standings), 0.1]) - 1e-9) / 10
         columns = (
-            Heading("IQM"), Heading("95 % interval", number=False, sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
+            Heading("IQM"), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
             Heading("P(rank 1)"), Heading("median"), Heading("mean"), Heading("optimality gap"), Heading("seeds"),
         )  # fmt: skip
         lines = [Line(self.name(one.method), self._standing(one, largest)) for one in standings]
@@ -309,7 +309,7 @@ class Boards(Parts):
 
     def _task_grid(self, table: Table, section: Section, row: Row, largest: float | None) -> Grid:
         papers = self.paper(table)
-        columns = [Heading("mean"), Heading("std"), Heading("95 % interval", number=False, sorts=False), Heading("seeds"),
+        columns = [Heading("mean"), Heading("std"), Heading("95 % interval", sorts=False), Heading("seeds"),
                    Heading("each seed", number=False, sorts=False)]  # fmt: skip
         with_paper = any((section.milestone, row.task, method) in papers for method in table.methods)
         if with_paper:

@@ -85,7 +85,7 @@ class Catalogue(Parts):
                         item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(),
                     )))  # fmt: skip
             caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
-            columns = (Heading("return"), Heading("95 % interval", number=False, sorts=False))
+            columns = (Heading("return"), Heading("95 % interval", sorts=False))
             grids.append(Grid(caption, "task", columns, tuple(lines), milestone=milestone))
         facts = []
         for comparison in board.overall.comparisons if board.overall else ():
