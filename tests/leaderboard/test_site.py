@@ -9,7 +9,6 @@ import random
 import shutil
 import statistics
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
@@ -322,7 +321,7 @@ def test_the_checker_of_the_w3c_finds_nothing(report):
              "methods/index.html", "datasets/index.html", "cpu.td3/index.html")  # fmt: skip
     pages = [report / name for name in names] + sorted((report / "datasets").glob("walker-*.html"))[:2]
     done = subprocess.run([java, "-jar", str(jar), "--format", "text", *map(str, pages)], capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, [line for line in done.stderr.splitlines() if ".html" in line]) == (0, [])
 
 
 # ------------------------------------------------------------------------------------------------------------------------------ strangers
@@ -414,13 +413,3 @@ def test_the_command_leaves_datasets_out(make_record, save, cli):
     assert done.code == 0, done.err
     assert done.out.splitlines()[-1] == "out/index.html"
     assert not (results.parent / "out" / "datasets" / "measures.json").exists()
-
-
-def test_the_site_needs_no_torch(make_record, save, python):
-    results = save(make_record())
-    script = (
-        "import sys, cudc_bench\n"
-        f"cudc_bench.make_leaderboard({str(results)!r}, 'out')\n"
-        "print(sorted({name.split('.')[0] for name in sys.modules} & {'torch', 'dm_control', 'mujoco'}))"
-    )
-    assert python(script)[:2] == (0, "[]\n"), sys.executable
