@@ -12,7 +12,7 @@ from playwright.sync_api import sync_playwright
 
 import cudc_bench
 
-WIDTH, HEIGHT = 1200, 940
+WIDTH, HEIGHT = 1200, 1000
 
 
 def main(records: str, output: str) -> None:

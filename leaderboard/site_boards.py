@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil
 
-from cudc_bench.envs.domains import DOMAINS, domain_title
+from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.records import Record
 
 from .load import short
@@ -23,6 +23,7 @@ from .site_parts import (
     commit,
     count,
     domain_path,
+    domain_text,
     largest_return,
     machine,
     pm,
@@ -276,7 +277,7 @@ class Boards(Parts):
         own = {f"task-{task}" for task in table.tasks}
         exhibits += self.further(table.slug, {"curves", *own}, {"table", "paper"})
         exhibits.append(Exhibit("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
-        lead = (f"{domain_title(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
+        lead = (f"{domain_text(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
         return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(exhibits))
 
     def task(self, board: Board, table: Table, task: str) -> Page:

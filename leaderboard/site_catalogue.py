@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 
 from cudc_bench.data.card import facts_of
-from cudc_bench.envs.domains import domain_title
 from cudc_bench.markup import plain
 
 from .load import column, short
@@ -20,6 +19,7 @@ from .site_parts import (
     commit,
     count,
     dataset_path,
+    domain_text,
     machine_text,
     method_path,
     number,
@@ -126,7 +126,7 @@ class Catalogue(Parts):
         local = self.site.local.get(dataset.word)
         sources = sorted({origin(record) for record in dataset.records})
         facts = [
-            ("method", self.name(dataset.method)), ("domain", Item(domain_title(dataset.domain))), ("seed", Item(str(dataset.seed))),
+            ("method", self.name(dataset.method)), ("domain", Item(domain_text(dataset.domain))), ("seed", Item(str(dataset.seed))),
             ("steps", Item(f"{dataset.steps:,}")), ("collected at", Item(dataset.settings)), ("origin", Item(", ".join(sources))),
         ]  # fmt: skip
         labelled = Grid("What was trained on", "task", (Heading("dataset", number=False), Heading("fingerprint", number=False)), tuple(

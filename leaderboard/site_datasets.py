@@ -180,6 +180,8 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
                 present.append((dataset, *found))
         except CudcBenchError as error:
             remarks.append(plain(str(error)))
+        except OSError as error:
+            remarks.append(plain(f"cannot look for the dataset {dataset.name}: {error.strerror}."))
     if not present:
         return {}, remarks
     kept = _read(folder / MEASURES)

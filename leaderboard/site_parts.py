@@ -9,7 +9,7 @@ from functools import cached_property
 from posixpath import basename
 from typing import Any
 
-from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
@@ -247,6 +247,11 @@ def pm(mean: float, std: float | None) -> str:
 def pm_scaled(mean: float, std: float | None, largest: float) -> str:
     """The same divided by the largest possible return."""
     return f"{mean / largest:.3f}" if std is None else f"{mean / largest:.3f} ± {std / largest:.3f}"
+
+
+def domain_text(name: str) -> str:
+    """What a domain is, if that is known; else its name."""
+    return domain_title(name) if name in DOMAINS or name.startswith(SUITE) else name
 
 
 def number(value: float) -> Item:

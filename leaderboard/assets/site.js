@@ -100,7 +100,7 @@ function setUpSorting(table) {
 
 function setUpSwitches(form) {
   const tables = [...document.querySelectorAll("table.filtered")];
-  const say = () => {
+  const filter = () => {
     const found = document.getElementById("found");
     const field = form.elements.namedItem("filter");
     if (!field) return;
@@ -109,8 +109,9 @@ function setUpSwitches(form) {
     for (const table of tables) {
       for (const row of table.tBodies[0].rows) {
         const name = row.cells[0].textContent.trim();
-        const shown = [...row.cells].slice(0, 2).some((cell) => cell.tagName === "TH" || !cell.classList.contains("number")
-          ? cell.textContent.toLowerCase().includes(wanted) : false);
+        // The name, and what stands next to it if that is a word, such as a dataset's method.
+        const words = [...row.cells].slice(0, 2).filter((cell) => !cell.classList.contains("number"));
+        const shown = words.some((cell) => cell.textContent.toLowerCase().includes(wanted));
         row.hidden = !shown;
         names.set(name, names.get(name) || shown);
       }
@@ -130,11 +131,11 @@ function setUpSwitches(form) {
     root.dataset.beside = data.get("beside") ? "on" : "off";
   };
   form.addEventListener("submit", (event) => event.preventDefault());
-  form.addEventListener("input", (event) => (event.target.id === "filter" ? say() : apply()));
+  form.addEventListener("input", (event) => (event.target.id === "filter" ? filter() : apply()));
   form.hidden = false;
   // A browser that comes back to a page may have kept what was chosen.
   apply();
-  say();
+  filter();
 }
 
 async function copy(text) {

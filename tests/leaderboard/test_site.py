@@ -369,6 +369,7 @@ def test_text_of_strangers_stays_text(make_record, a, b, c, d):
         assert not [
             one for one in page.iter() if one.tag in {"b", "img", "iframe", "object"} or any(name.startswith("on") for name in one.attrib)
         ]
+        assert max(Counter(one.get("id") for one in page.iter() if one.get("id")).values()) == 1
         links = [one.get("href") for one in page.iter("a")]
         assert all(posixpath.normpath(posixpath.join(posixpath.dirname(path), link.partition("#")[0] or posixpath.basename(path))) in files
                    for link in links)  # fmt: skip

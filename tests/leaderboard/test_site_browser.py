@@ -114,6 +114,16 @@ def test_the_filter_counts_what_it_shows_and_says_so(reader):
     assert len(reader.names(MATRIX.format("500K"))) == 4
 
 
+def test_datasets_are_found_by_their_method(reader):
+    page = reader.open("datasets/index.html")
+    page.get_by_label("Filter datasets").fill("icm")
+    # Three on each of two domains, and two of profile cpu.
+    assert page.locator("#found").inner_text().endswith(" shown")
+    assert len(reader.names("table")) == 3 + 3 + 2
+    page.get_by_label("Filter datasets").fill("jaco/")
+    assert len(reader.names("table")) == 9
+
+
 def test_milestones_returns_and_the_paper_switch(reader):
     page = reader.open("index.html")
     last, before = (page.locator(MATRIX.format(one)) for one in ("500K", "100K"))
