@@ -31,6 +31,7 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@echo "records    $(DEMO)/results"
 	@echo "table      $(DEMO)/report/demo.td3.walker/table.md"
 	@echo "curves     $(DEMO)/report/demo.td3.walker/curves.svg"
+	@echo "site       $(DEMO)/report/index.html"
 
 test: setup  ## Run the tests.
 	$(BIN)/pytest -n auto
