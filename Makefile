@@ -9,7 +9,7 @@ DEMO := $(CURDIR)/demo
 KILLS ?= 200
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench torture wheel-check clean
+.PHONY: help setup demo test lint format screenshots bench torture wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -31,6 +31,7 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@echo "records    $(DEMO)/results"
 	@echo "table      $(DEMO)/report/demo.td3.walker/table.md"
 	@echo "curves     $(DEMO)/report/demo.td3.walker/curves.svg"
+	@echo "site       $(DEMO)/report/index.html"
 
 test: setup  ## Run the tests.
 	$(BIN)/pytest -n auto
@@ -43,6 +44,10 @@ lint: setup  ## Check style and types.
 format: setup  ## Put the code into the project's format.
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+RECORDS ?= results
+screenshots: setup  ## Take pictures of the site over RECORDS, for the README: build/screenshots/*.png. Needs chromium.
+	$(BIN)/python docs/screenshots.py $(RECORDS) build/screenshots
 
 bench: setup  ## Measure speed as ratios and print a table; see benchmarks/README.md.
 	$(BIN)/python -m benchmarks

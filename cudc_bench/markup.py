@@ -16,7 +16,9 @@ _HEAD, _TAIL = 1500, 500  # characters of a message that are shown, where it has
 
 def plain(text: str) -> str:
     """One line without control characters, which could drive a terminal or break a file's syntax."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    # Most texts are; looking at each character of all texts of a leaderboard takes seconds.
+    shown = text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(shown.split())
 
 
 def visible(text: str) -> str:
@@ -52,4 +54,23 @@ def templates(folder: Path, escape: Callable[[str], str]) -> Environment:
         loader=FileSystemLoader(folder), undefined=StrictUndefined, finalize=finish,
         variable_start_string="<<", variable_end_string=">>", block_start_string="<%", block_end_string="%>",
         comment_start_string="<#", comment_end_string="#>", trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+
+
+@cache
+def html_templates(folder: Path) -> Environment:
+    """Templates of HTML pages: every value is one line without control characters, and escaped unless it is ``Markup``.
+
+    Args:
+        folder: where they are.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finish(value: Any) -> Any:
+        return value if isinstance(value, Markup) else plain(str(value))
+
+    return Environment(
+        loader=FileSystemLoader(folder), undefined=StrictUndefined, finalize=finish, autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
     )  # fmt: skip

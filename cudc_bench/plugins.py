@@ -66,6 +66,17 @@ def package(kind: str, name: str) -> dict[str, str]:
     return {} if found is None else {found.name: found.version}
 
 
+def target(kind: str, name: str) -> tuple[str, str]:
+    """The module and the object in it that are registered under a name; nothing is imported.
+
+    Raises:
+        UsageError: no such name.
+        RunError: several packages registered it.
+    """
+    point = _point(kind, name)
+    return point.module, point.attr
+
+
 def load(kind: str, name: str) -> Any:
     """Import and return what is registered under a name.
 

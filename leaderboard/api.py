@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
+from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
-from .figures import curve_files, draw_bars, figure_files
+from .figures import curve_files, draw_bars, figure_files, task_files
 from .files import only
 from .grid_files import study_files
-from .incremental import Part, build
+from .incremental import Part, build, digest, holds
 from .load import Loaded, kept_from_collector, load_records
 from .missing import Missing, find_missing
 from .overall import Overall, build_overall
@@ -32,6 +33,9 @@ from .render import (
     to_latex,
     to_markdown,
 )
+from .site import site_files
+from .site_datasets import datasets_of, find_local
+from .site_parts import Run, Site, run_of
 from .studies import build_studies
 from .study import Study
 from .table import Table, build_blocks, tables_of
@@ -64,21 +68,25 @@ def make_leaderboard(
     profile: str | None = None,
     domain: str | None = None,
     algo: str | None = None,
+    datasets: bool = True,
 ) -> Report:
-    """Make tables and learning curves from run records.
+    """Make tables, learning curves and a static site from run records.
 
     For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and ``.pdf``,
-    and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports, too; and for each study of the same domain,
-    algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and its figures. For each group and algorithm
-    ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv``, and ``intervals``,
-    ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in ``<output>/<profile>.learners/``. Each
-    file is replaced whole. The same records give the same bytes. What has not changed since the last build is left alone, and what no
-    record asks for any more is removed (see :mod:`.incremental`).
+    the curves of each task as ``task-<task>``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports,
+    too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and
+    its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``,
+    ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in
+    ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`). Each file is replaced whole.
+    The same records, and with ``datasets`` the same datasets, give the same bytes. What has not changed since the last build is left alone,
+    and what no record asks for any more is removed (see :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.
         output: the folder to write to; None writes nothing.
         profile, domain, algo: only records of that profile, domain or algorithm.
+        datasets: measure those of the records' datasets that are on this machine, for their pages; what was measured is kept in
+            ``<output>/datasets/measures.json``, so that each takes its seconds once.
 
     Raises:
         UsageError: there is no such path, no record, or no record of that profile, domain or algorithm; the output cannot be a folder.
@@ -92,15 +100,16 @@ def make_leaderboard(
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     with kept_from_collector():
-        return _make(loaded, records, folder, whole=profile is domain is algo is None)
+        return _make(loaded, paths, records, folder, datasets, whole=profile is domain is algo is None)
 
 
-def _make(loaded: Loaded, records: Sequence[Record], folder: Path | None, whole: bool) -> Report:
+def _make(loaded: Loaded, paths: Sequence[Path], records: Sequence[Record], folder: Path | None, datasets: bool, whole: bool) -> Report:
     blocks, problems = build_blocks(records)
     tables = tables_of(blocks)
     overall = build_overall(tables)
     studies = build_studies(blocks, overall)
-    files = []
+    missing = find_missing(tables, [one for study in studies for one in study.wanted])
+    files: list[Path] = []
     if folder is not None:
         parts = [Part(table.slug, partial(_contents, table), loaded.inputs(table.records)) for table in tables]
         for one in overall:
@@ -109,9 +118,29 @@ def _make(loaded: Loaded, records: Sequence[Record], folder: Path | None, whole:
         for study in studies:
             inputs = (*loaded.inputs(study.records), study.caption, *study.notes)
             parts.append(Part(study.folder, partial(study_files, study), inputs, study.name))
-        files = build(folder, parts, whole)
-    missing = find_missing(tables, [one for study in studies for one in study.wanted])
+        hidden = tables_of(blocks, studies=True)
+        local, remarks = find_local(datasets_of([*tables, *hidden]), folder) if datasets else ({}, [])
+        problems += remarks
+
+        def site_part(there: Mapping[str, Sequence[str]]) -> Part:
+            places = _places(loaded, paths)
+            site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden)
+            known = [loaded.inputs(records), site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
+                     (f"{word} {one.digest}" for word, one in local.items())]  # fmt: skip
+            return Part("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
+
+        # A site over all records is not replaced by one over some of them.
+        files = build(folder, parts, whole, None if not whole and holds(folder, "", "site") else site_part)
     return Report(tables, overall, studies, [*loaded.problems, *problems], missing, files)
+
+
+def _places(loaded: Loaded, paths: Sequence[Path]) -> dict[Run, str]:
+    """Where each record is below the folders that were asked for: the same wherever these are."""
+    found = {}
+    for record, file in zip(loaded.records, loaded.paths, strict=True):
+        above = next((path for path in paths if path != file and file.is_relative_to(path)), file.parent)
+        found[run_of(record)] = plain(file.relative_to(above).as_posix())
+    return found
 
 
 def _load(paths: Sequence[Path]) -> Loaded:
@@ -135,6 +164,7 @@ def _contents(table: Table) -> dict[str, str | bytes]:
         "table.csv": to_csv(table),
         **curve_files(table),
         **figure_files("bars", lambda: draw_bars(table.runs)),
+        **task_files(table.runs),
     }
     paper = beside_paper(table)
     if paper is not None:

@@ -21,8 +21,9 @@ def leaderboard(
     profile: Annotated[str | None, typer.Option("--profile", help="Only this profile.")] = None,
     domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
     algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.")] = None,
+    datasets: Annotated[bool, typer.Option("--datasets/--no-datasets", help="Measure the datasets that are here; seconds each.")] = True,
 ) -> None:
-    """Turn run records into tables and learning curves."""
+    """Turn run records into tables, learning curves and a static site."""
     from rich.console import Console
 
     from cudc_bench.progress import say
@@ -31,7 +32,7 @@ def leaderboard(
     from .grid_files import to_rich as study_to_rich
     from .render import overall_to_rich, to_rich
 
-    report = api.make_leaderboard(results or "results", output, profile, domain, algo)
+    report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
     screen = Console(highlight=False)
     for table in report.tables:
         screen.print(to_rich(table))
@@ -47,7 +48,10 @@ def leaderboard(
     for missing in report.missing:
         say(f"missing: {missing}")
     for file in report.files:
-        typer.echo(file)
+        if file.suffix != ".html":
+            typer.echo(file)
+    if report.files:
+        typer.echo(Path(output) / "index.html")
 
 
 def submit(

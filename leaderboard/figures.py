@@ -59,6 +59,14 @@ def curve_files(table: Table) -> dict[str, bytes]:
     return figure_files("curves", lambda: draw_curves(table.runs))
 
 
+def task_files(runs: Runs) -> dict[str, bytes]:
+    """``task-<task>.svg`` and ``.pdf`` for each task that has records: its curves alone, larger."""
+    files: dict[str, bytes] = {}
+    for task in runs.tasks:
+        files |= figure_files(f"task-{task}", lambda task=task: draw_task(runs, task))  # type: ignore[misc]
+    return files
+
+
 def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
     """``<name>.svg``, whose text stays text, and ``<name>.pdf`` of the figure that ``draw`` returns; neither holds a date."""
     from matplotlib import style
@@ -124,6 +132,17 @@ def draw_bars(runs: Runs) -> Figure:
         if index % columns == 0:
             panel.set_ylabel("return")
         returns_axis(panel, runs.domain, runs.tasks)
+    return figure
+
+
+def draw_task(runs: Runs, task: str) -> Figure:
+    """The curves of one task, wide enough to follow each line."""
+    title = f"{runs.algorithm} on {runs.domain} {task}, profile {runs.group}: {seeds_text(runs.seeds)}, dotted: milestones"
+    shown = looks(runs.methods)
+    figure, (panel,) = framed(title, legend(shown), 1, 1, height=3.6, width=7.2)
+    _draw_panel(panel, runs, task, shown)
+    panel.set_title("")  # The figure's says it.
+    panel.set_ylabel("return")
     return figure
 
 

@@ -13,6 +13,7 @@ import json
 import signal
 import threading
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -29,6 +30,8 @@ from cudc_bench.errors import RunError
 from cudc_bench.files import remove_empty_above, unwritable, write_atomically
 from cudc_bench.parallel import cores
 from cudc_bench.progress import bar_if_long
+
+from .files import write_files
 
 LEDGER = ".ledger.json"
 _LIBRARIES = ("jinja2", "matplotlib", "numpy", "pandas", "scipy")
@@ -73,13 +76,16 @@ def digest(texts: Iterable[str]) -> str:
     return found.hexdigest()
 
 
-def build(output: Path, parts: Sequence[Part], whole: bool = True) -> list[Path]:
+def build(
+    output: Path, parts: Sequence[Part], whole: bool = True, last: Callable[[Mapping[str, Sequence[str]]], Part] | None = None
+) -> list[Path]:
     """Bring the files of an output folder up to date.
 
     Args:
         output: the folder, which is made.
         parts: all that belongs into it; no two may have a file in common.
         whole: whether these are all parts; otherwise those that were built before stay.
+        last: makes a further part from the names of the files that lie in each folder then.
 
     Returns:
         The files of these parts.
@@ -88,24 +94,42 @@ def build(output: Path, parts: Sequence[Part], whole: bool = True) -> list[Path]
         RunError: a file could not be read or written.
     """
     ledger = _read(output)
-    keys = {part.place: part.key for part in parts}
-    stale = [part for part in parts if not _is_current(output, part, keys[part.place], ledger)]
-    entries = {place: entry for place, entry in ledger.items() if not whole or place in keys}
     try:
-        for part, contents in zip(stale, computed([part.make for part in stale], "making files", "parts"), strict=True):
-            sums = {}
-            for name, content in contents.items():
-                data = content.encode() if isinstance(content, str) else content
-                sums[name] = hashlib.sha256(data).hexdigest()
-                if _sum(output / part.folder / name) != sums[name]:
-                    write_atomically(output / part.folder / name, data)
-            entries[part.place] = {"key": keys[part.place], "folder": part.folder, "files": sums}
+        made = _bring(output, parts, ledger)
+        if last is not None:
+            there: dict[str, list[str]] = defaultdict(list)
+            for entry in made.values():
+                there[entry["folder"]] += entry["files"]
+            final = last({folder: sorted(there[folder]) for folder in sorted(there)})
+            parts = [*parts, final]
+            made |= _bring(output, [final], ledger)
+        entries = made if whole else ledger | made
         _remove(output, ledger, entries)
         if entries != ledger:
             write_atomically(output / LEDGER, json.dumps(entries, indent=1, sort_keys=True) + "\n")
     except OSError as error:
         raise unwritable(error.filename or output, error) from None
     return [output / part.folder / name for part in parts for name in entries[part.place]["files"]]
+
+
+def holds(output: Path, folder: str, name: str) -> bool:
+    """Whether an earlier build left a part there."""
+    return f"{folder}:{name}" in _read(output)
+
+
+def _bring(output: Path, parts: Sequence[Part], ledger: Mapping[str, Any]) -> dict[str, Any]:
+    """Make the files of those parts that are not as they should be; the ledger's entries of all of them."""
+    keys = {part.place: part.key for part in parts}
+    stale = [part for part in parts if not _is_current(output, part, keys[part.place], ledger)]
+    entries = {part.place: ledger[part.place] for part in parts if part not in stale}
+    for part, contents in zip(stale, computed([part.make for part in stale], "making files", "parts"), strict=True):
+        sums = {
+            name: hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+            for name, content in contents.items()
+        }
+        write_files(output / part.folder, contents)
+        entries[part.place] = {"key": keys[part.place], "folder": part.folder, "files": sums}
+    return entries
 
 
 def computed(functions: Sequence[Callable[[], T]], description: str, unit: str) -> Iterator[T]:
@@ -166,9 +190,13 @@ def _source() -> str:
     return digest([*versions, *(f"{path.name} {_sum(path)}" for path in files)])
 
 
+def _hash(content: str | bytes) -> str:
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
 def _sum(path: Path) -> str | None:
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return _hash(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return None
 

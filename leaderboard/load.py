@@ -36,10 +36,12 @@ class Loaded:
         records: usable records, each training run once, in the order of their files.
         problems: one line for each file that was left out, and why.
         digests: a hash of each record's file, by the record's ``id``; see :meth:`inputs`.
+        paths: the file of each record.
     """
 
     records: tuple[Record, ...]
     problems: tuple[str, ...]
+    paths: tuple[Path, ...] = ()
     digests: Mapping[int, str] = field(default_factory=dict, repr=False)
 
     def inputs(self, records: Iterable[Record]) -> tuple[str, ...]:
@@ -72,7 +74,7 @@ def load_records(paths: Iterable[Path]) -> Loaded:
         old, new = sorted([kept[run], (path, record)], key=lambda entry: created(entry[1]))
         kept[run] = new
         problems.append(plain(f"{old[0]} is left out: {new[0]} is the same training run and not older."))
-    return Loaded(tuple(record for _, record in kept.values()), tuple(problems), digests)
+    return Loaded(tuple(record for _, record in kept.values()), tuple(problems), tuple(path for path, _ in kept.values()), digests)
 
 
 def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError, str]]:

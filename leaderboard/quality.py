@@ -184,15 +184,15 @@ def _compare(found: Iterable[tuple[str, Manifest]]) -> list[QualityTable]:
         methods = ordered({manifest.label for _, manifest in members}, METHOD_ORDER)
         members.sort(key=lambda one: (methods.index(one[1].label), one[1].seed, one[0]))
         with bars([(f"quality of {one}", manifest.steps) for one, manifest in members], "states") as advances:
-            measured = [_measure(one, manifest, domain, advance) for (one, manifest), advance in zip(members, advances, strict=True)]
+            measured = [measure(one, manifest, domain, advance) for (one, manifest), advance in zip(members, advances, strict=True)]
         entropies = particle_entropies([points for _, points in measured])
         datasets = tuple(replace(one, particle_entropy=entropy) for (one, _), entropy in zip(measured, entropies, strict=True))
         tables.append(QualityTable(plain(group), plain(name), domain.tasks, slug(group, "quality", name), methods, datasets))
     return tables
 
 
-def _measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advance) -> tuple[Quality, Float32]:
-    """All but the particle entropy, and observations (n, S) for that."""
+def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advance) -> tuple[Quality, Float32]:
+    """One dataset's quality but for the particle entropy, and observations (n, S) for that."""
     relabeler, function = plugins.load("relabelers", domain.relabeler)(domain), reward_function(domain.name)
     visits = Visits(domain) if domain.descriptors else None
     stride = math.ceil((manifest.steps + manifest.episodes) / POINTS)

@@ -208,6 +208,14 @@ def _means(scores: Floats, counts: Counts) -> Floats:
     return total
 
 
+def student(mean: float, std: float, n: int) -> Interval:
+    """The 95 % interval of a mean over n > 1 seeds by Student's t, from their sample standard deviation."""
+    from scipy.special import stdtrit
+
+    reach = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * std / n**0.5
+    return Interval(mean - reach, mean + reach)
+
+
 def profile(scores: Floats, thresholds: Floats) -> Floats:
     """Share of seeds x tasks whose score is above each threshold: (n, T) and (k,) -> (k,)."""
     return np.asarray((scores[..., None] > thresholds).mean((0, 1)))

@@ -259,9 +259,10 @@ def build_blocks(records: Iterable[Record]) -> tuple[list[Block], list[str]]:
     return blocks, problems
 
 
-def tables_of(blocks: Iterable[Block]) -> list[Table]:
-    """The main table of each block, unless it has nothing but methods that exist for studies only."""
-    return [_build(block, methods) for block in blocks if (methods := [name for name in block.methods if name not in STUDY_METHODS])]
+def tables_of(blocks: Iterable[Block], studies: bool = False) -> list[Table]:
+    """The main table of each block that has methods for one; with ``studies`` that of the methods that exist for studies only."""
+    chosen = [(block, [name for name in block.methods if (name in STUDY_METHODS) == studies]) for block in blocks]
+    return [_build(block, methods, marked=not studies) for block, methods in chosen if methods]
 
 
 def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
@@ -346,14 +347,15 @@ def span(counts: Iterable[int], what: str) -> str:
     return f"{_span(low, high)} {what if high == 1 else f'{what}s'}"
 
 
-def _build(block: Block, methods: Sequence[str]) -> Table:
+def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
     own = {key: records for key, records in block.records.items() if key[0] in methods}
     records = tuple(record for found in own.values() for record in found)
     known = DOMAINS[block.domain].tasks if block.domain in DOMAINS else ()
     tasks = ordered({*known, *(task for _, task in own)}, known)
     sections = []
     for milestone in block.milestones:
-        rows = [Row(task, mark_best([build_cell(own.get((name, task), ()), milestone) for name in methods])) for task in tasks]
+        cells = [[build_cell(own.get((name, task), ()), milestone) for name in methods] for task in tasks]
+        rows = [Row(task, mark_best(row) if marked else tuple(row)) for task, row in zip(tasks, cells, strict=True)]
         evaluations = [evaluation_at(record, milestone) for record in records]
         episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
         sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
@@ -409,6 +411,11 @@ def slug(group: str, algorithm: str, domain: str) -> str:
 def group_slug(group: str, algorithm: str) -> str:
     """The same for the files of all of its domains; its one dot keeps it apart from any single domain's, whatever that is called."""
     return f"{_word(group, _NAME)}.{algorithm}"
+
+
+def file_word(text: str) -> str:
+    """A safe and unique part of file names, without a dot, for any text; a name of letters, digits, ``_`` and ``-`` is its own."""
+    return _word(text, _NAME)
 
 
 def _word(text: str, allowed: re.Pattern[str]) -> str:

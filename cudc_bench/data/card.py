@@ -48,7 +48,7 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
         # As JSON, which YAML reads, too; without a sign that could begin a tag for readers that take it for Markdown.
         quoted_title=Markup(json.dumps(plain(title)).replace("<", "\\u003c")),
         description=description,
-        facts=_facts(manifest),
+        facts=facts_of(manifest),
         origin=_origin(manifest),
         command=plain(manifest.command),
         hyperparameters=[(name, _value(value)) for name, value in sorted(manifest.hyperparameters.items())],
@@ -67,7 +67,8 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
     )
 
 
-def _facts(manifest: Manifest) -> list[tuple[str, str]]:
+def facts_of(manifest: Manifest) -> list[tuple[str, str]]:
+    """What a manifest says, as names and values for people; what is unknown or empty is left out."""
     rows = {
         "domain": manifest.domain,
         "task": manifest.task or "none: collected without rewards",

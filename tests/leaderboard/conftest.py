@@ -1,4 +1,4 @@
-"""Synthetic run records."""
+"""Synthetic run records, and the report of an example that has everything."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from cudc_bench.records import DatasetReference, Evaluation, Record, record_path, write_record
+from cudc_bench.leaderboard.api import make_leaderboard
+from cudc_bench.records import DatasetReference, Evaluation, Record, Submission, record_path, write_record
 
 MakeRecord = Callable[..., Record]
 
@@ -44,7 +45,7 @@ def _make_record(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_record() -> MakeRecord:
     """The factory of synthetic records."""
     return _make_record
@@ -62,3 +63,57 @@ def save(tmp_path: Path) -> Callable[..., Path]:
         return results
 
     return write
+
+
+TASKS = {"walker": ("stand", "walk", "run"), "jaco": ("reach_top_left",)}
+# Means of the last evaluation on walker walk, and of the milestone before.
+WALK = {"random": (120.0, 60.0), "icm": (480.0, 300.0), "cudc": (900.0, 350.0), "mine": (1000.0, 90.0)}
+
+
+@pytest.fixture(scope="session")
+def walk() -> dict[str, tuple[float, float]]:
+    """What the example's methods get on walker walk at 500K and at 100K."""
+    return WALK
+
+
+@pytest.fixture(scope="session")
+def example_records() -> list[Record]:
+    """Two groups, two domains, studies, an imported method, a submission, holes, and cells that the paper has.
+
+    Walker walk has the means of ``walk`` and a spread of 10 over three seeds; ``mine`` has one seed, no run and no other domain.
+    """
+    records = []
+    for domain, tasks in TASKS.items():
+        scale = 1.0 if domain == "walker" else 0.25
+        for task in tasks:
+            for method, (last, before) in WALK.items():
+                if method == "mine" and task != "walk":
+                    continue
+                for seed in (1,) if method == "mine" else (1, 2, 3):
+                    shift = 0.0 if method == "mine" else 10.0 * (seed - 2)
+                    drop = 0.0 if task == "walk" else 0.3 * last
+                    mean, earlier = scale * (last + shift - drop), scale * (before + shift - drop / 5)
+                    final = [mean] if mean == 1000 else [mean - 0.5, mean + 0.5]
+                    records.append(_make_record(
+                        method, task, seed, [(0, [1.0]), (100_000, [earlier] * 2), (500_000, [mean])], final, dataset_domain=domain,
+                        profile="paper", milestones=[100_000, 500_000], versions={"cudc-bench": "0.1.0", "torch": "2.13.0"},
+                        commit="c" * 40, seconds=1234.0, machine={"processor": "A processor", "device": "cuda", "threads": 2},
+                    ))  # fmt: skip
+    records += [_make_record(method, "walk", seed) for method in ("cudc", "icm") for seed in (1, 2)]
+    records += [_make_record(method, "walk", seed) for method in ("cudc-no-pe", "cudc-kmax4") for seed in (1, 2)]
+    records += [_make_record(method, "walk", 1, dataset_used=100_000) for method in ("cudc", "cudc-no-pe")]
+    submission = Submission(by="ann", url="https://example.org/mine", sha256="d" * 64, submitted="2026-11-22T10:00:00+00:00")
+    records.append(_make_record("cudc", seed=3, final=[700.0], submission=submission))
+    records.append(_make_record("proto", final=[300.0], dataset_source="ExORL", dataset_profile="imported", dataset_steps=10_000_000))
+    return records
+
+
+@pytest.fixture(scope="session")
+def example_report(example_records: list[Record], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All that the leaderboard makes of them, never to be changed."""
+    folder = tmp_path_factory.mktemp("example")
+    for record in example_records:
+        one = record.dataset
+        write_record(record_path(folder / "results", one.id, record.algorithm, record.seed, record.profile, one.used), record)
+    make_leaderboard(folder / "results", folder / "report", datasets=False)
+    return folder / "report"

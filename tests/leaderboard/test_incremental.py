@@ -119,4 +119,11 @@ def test_a_leaderboard_is_made_again_where_records_changed(
     assert below(out) == below(tmp_path / "fresh")
     shutil.rmtree(results / "demo")
     api.make_leaderboard(results, out)
-    assert {path.name for path in out.iterdir()} == {LEDGER, "cpu.td3", "cpu.td3.walker"}
+    site = {"index.html", "methods", "datasets", "site"}
+    assert {path.name for path in out.iterdir()} == {LEDGER, "cpu.td3", "cpu.td3.walker"} | site
+    # A filter makes a site where there is none over everything.
+    for final in (1.0, 2.0):
+        save(make_record(profile="cpu", final=(final,)))
+        api.make_leaderboard(results, tmp_path / "some", profile="cpu")
+        page = (tmp_path / "some" / "cpu.td3.walker" / "runs-walk.cudc.html").read_text()
+        assert f"{final:.1f} after" in page

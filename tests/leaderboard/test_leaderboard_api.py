@@ -12,9 +12,15 @@ from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 from cudc_bench.leaderboard.incremental import LEDGER
 
-FILES = {"table.md", "table.tex", "table.csv", "curves.svg", "curves.pdf", "bars.svg", "bars.pdf"}
+FILES = {"table.md", "table.tex", "table.csv"}
+FILES |= {f"{name}.{kind}" for name in ("curves", "bars", "task-walk") for kind in ("svg", "pdf")}
 OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
 RANKS = {"ranks.svg", "ranks.pdf"}
+
+
+def of_site(file):
+    """Whether ``test_site.py`` looks at it."""
+    return file.suffix in {".html", ".css", ".js"}
 
 
 def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path):
@@ -24,7 +30,8 @@ def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path)
     assert [overall.slug for overall in report.overall] == ["cpu.td3", "paper.td3"]
     expected = {(table.slug, name) for table in report.tables for name in FILES}
     expected |= {(overall.slug, name) for overall in report.overall for name in OVERALL}
-    assert {(file.parent.name, file.name) for file in report.files} == expected
+    assert {(file.parent.name, file.name) for file in report.files if not of_site(file)} == expected
+    assert tmp_path / "out" / "index.html" in report.files
     assert sorted(p for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != LEDGER) == sorted(report.files)
     assert report.problems == []
 
@@ -32,7 +39,7 @@ def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path)
 def test_two_builds_give_identical_bytes(make_record, save, tmp_path):
     results = save(*(make_record(method=m, seed=s) for m in ("cudc", "icm") for s in (1, 2)))
     built = [make_leaderboard(results, tmp_path / name).files for name in ("a", "b")]
-    assert {file.name for file in built[0]} == FILES | OVERALL | RANKS
+    assert {file.name for file in built[0] if not of_site(file)} == FILES | OVERALL | RANKS
     for first, second in zip(*built, strict=True):
         assert first.read_bytes() == second.read_bytes()
 
@@ -124,8 +131,12 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
     assert "broken.json" not in done.stdout
     assert "broken.json is not a run record" in done.stderr.replace("\n", "")
     printed = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
-    assert len(printed) == 2 * len(FILES | OVERALL)
-    assert set(printed) == {str(p) for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != LEDGER}
+    # Of the pages of the site the first is enough.
+    expected = {str(p) for p in (tmp_path / "out").rglob("*") if p.is_file() and p.suffix != ".html" and p.name != LEDGER} | {
+        str(tmp_path / "out" / "index.html")
+    }
+    assert (len(printed), set(printed)) == (len(expected), expected)
+    assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js"})
 
 
 def test_command_reads_results_by_default(make_record, save, tmp_path, monkeypatch):

@@ -663,6 +663,6 @@ def test_the_command_prints_and_writes_studies(runs: Callable, save: Callable, c
     assert "The upper bound of k: walker, td3, profile cpu" in done.out
     written = {path.name for path in (tmp_path / "out" / "cpu.td3.walker").iterdir() if path.name.startswith("k-bound")}
     figures = {f"k-bound-{name}.{kind}" for name in ("bars", "curves", "bound") for kind in ("svg", "pdf")}
-    assert written == {"k-bound.md", "k-bound.tex", "k-bound-returns.csv", *figures}
+    assert written == {"k-bound.md", "k-bound.tex", "k-bound-returns.csv", "k-bound.html", *figures}
     assert "missing: k-bound: td3 on cudc-kmax5 in walker" in done.err
     assert "cudc-kmax4" not in (tmp_path / "out" / "cpu.td3.walker" / "table.md").read_text()

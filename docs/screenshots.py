@@ -1,0 +1,43 @@
+"""Pictures of the leaderboard's site for the README: ``make screenshots RECORDS=results``. Needs Chromium and the extra [dev]."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from playwright.sync_api import sync_playwright
+
+import cudc_bench
+
+WIDTH, HEIGHT = 1200, 1000
+
+
+def main(records: str, output: str) -> None:
+    """The overview in daylight and, of its first comparison, the first task's page in the dark."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        sys.exit("there is no chromium; install it with: apt-get install chromium")
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as place, sync_playwright() as driver:
+        report = cudc_bench.make_leaderboard(records, place, datasets=False)
+        table = next((one for one in report.tables if one.group == "paper"), report.tables[0])
+        task = next(row.task for row in table.sections[-1].rows if any(row.cells))
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
+        for name, page, mode in (("overview", "index.html", "light"), ("task", f"{table.slug}/task-{task}.html", "dark")):
+            context = browser.new_context(
+                viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=2, color_scheme=mode, offline=True
+            )  # fmt: skip
+            shown = context.new_page()
+            shown.goto((Path(place) / page).as_uri())
+            shown.screenshot(path=folder / f"{name}.png")
+            print(folder / f"{name}.png")
+            context.close()
+        browser.close()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])

@@ -1,0 +1,365 @@
+"""Pages of results: the overview, a page for each comparison, domain and task."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+
+from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.records import Record
+
+from .load import short
+from .missing import Missing
+from .overall import PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from .published import Beside, beside_paper
+from .site_models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
+from .site_parts import (
+    Board,
+    brief,
+    by_column,
+    commit,
+    count,
+    domain_path,
+    domain_text,
+    largest_return,
+    machine,
+    pm,
+    pm_scaled,
+    runs_path,
+    task_path,
+    version,
+)
+from .site_studies import Studies
+from .statistics import student
+from .table import Cell, Row, Section, Table, seed_scores, span
+
+_MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
+
+
+class Boards(Studies):
+    """Builds them."""
+
+    def overview(self, boards: Sequence[Board]) -> Page:
+        """The first page."""
+        first = boards[0]
+        self.look(first)
+        tables = self.site.tables
+        records = [record for table in tables for record in table.records]
+        facts = [
+            span([len(records)], "run"), span([len(self.site.methods)], "method"), span([len({t.domain for t in tables})], "domain"),
+            span([len({(t.domain, task) for t in tables for task in t.tasks})], "task"), span([len(self.site.datasets)], "dataset"),
+        ]  # fmt: skip
+        lead = (
+            "How much offline reinforcement learning gets out of data that were collected without rewards. Every number leads to the runs"
+            f" behind it. {', '.join(facts)}.",
+            f"Shown here: {first.algorithm}, profile {brief(first.group)}. {self.summary(first)[0]}",
+        )
+        exhibits = self.board(first)
+        choose = Exhibit(
+            "Comparisons",
+            grids=(self._boards_grid(boards),),
+            text=("Results of different profiles, settings or offline algorithms never share a table: each has a page of its own.",),
+        )
+        return Page("index.html", "Leaderboard of data collectors", (), lead, self.badges(first),
+                    (*exhibits[:1], choose, *exhibits[1:], *self._problems(), self._reading(boards), self._behind(records)))  # fmt: skip
+
+    def _boards_grid(self, boards: Sequence[Board]) -> Grid:
+        lines = [
+            Line(
+                Item(brief(one.group), link=one.path),
+                (Item(one.algorithm), Item(", ".join(table.domain for table in one.tables)), count(len(one.methods)),
+                 Item(span([cell.n for table in one.tables for cell in table.cells] or [0], "seed")
+                      + (", preliminary" if one.preliminary else "")), count(one.runs)),
+            )
+            for one in boards
+        ]  # fmt: skip
+        columns = (Heading("algorithm", number=False), Heading("domains", number=False), Heading("methods"), Heading("seeds", number=False),
+                   Heading("runs"))  # fmt: skip
+        return Grid("What may be compared, by profile with its settings and offline algorithm", "profile", columns, tuple(lines))
+
+    def _problems(self) -> tuple[Exhibit, ...]:
+        if not self.site.problems:
+            return ()
+        lines = [Item(problem) for problem in self.site.problems[:_MOST_LINES]]
+        rest = len(self.site.problems) - len(lines)
+        return (Exhibit("Problems", lines=tuple(lines), text=(f"… and {rest:,} more.",) if rest else (), folded=len(lines) > 5,
+                        lead="What was left out of the tables, or is doubtful in them."),)  # fmt: skip
+
+    def _reading(self, boards: Sequence[Board]) -> Exhibit:
+        scores = ", ".join(f"{domain.max_return:,.0f} on {domain.name}" for domain in DOMAINS.values())
+        lines = (
+            "A return is the undiscounted sum of an episode's rewards, a mean over evaluation episodes. Normalised, it is divided by the"
+            f" largest that is possible: {scores}.",
+            "The unit of replication is the collector seed, that is: the dataset. Several training runs on one dataset count once, as"
+            " their mean; ± is the sample standard deviation over seeds, and (5) or n the number of them.",
+            "Scores are those after the last gradient step of each milestone, never the best of a training run.",
+            "Bold and marked ● in a task: the largest mean, and all that are not significantly worse (two-sided Welch test over seeds,"
+            " Holm's correction within the task, p ≥ 0.05).",
+            "IQM: mean without the lowest and highest quarter of runs. Intervals: 95 %, by a cluster bootstrap that draws datasets with all"
+            " their tasks. P(rank 1): how often a method has the largest IQM in it.",
+            f"{PRELIMINARY} A single seed has no interval.",
+            "The paper's numbers stand beside ours where it reports the same cell. They come from another implementation and are never"
+            " ranked with ours; σ counts the paper's standard deviations between them.",
+            f"{MISSING} is a cell without any run.",
+        )
+        return Exhibit("How to read it", lines=tuple(map(Item, lines)))
+
+    def _behind(self, records: Sequence[Record]) -> Exhibit:
+        def grid(caption: str, first: str, names: Sequence[str], counts: Counter[tuple[str, ...]]) -> Grid:
+            shown = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
+            lines = [Line(Item(brief(key[0])), (*(Item(brief(text) or MISSING) for text in key[1:]), count(n))) for key, n in shown[:20]]
+            if len(shown) > 20:
+                rest = sum(n for _, n in shown[20:])
+                lines.append(Line(Item(f"{len(shown) - 20} others"), (*(Item() for _ in names), count(rest))))
+            return Grid(caption, first, (*(Heading(name, number=False) for name in names), Heading("runs")), tuple(lines))
+
+        packages = ("torch", "mujoco", "numpy")
+        codes: Counter[tuple[str, ...]] = Counter(
+            (version(r, "cudc-bench"), commit(r), *(version(r, name) for name in packages)) for r in records
+        )
+        machines: Counter[tuple[str, ...]] = Counter((machine(r, "processor"), machine(r, "device"), machine(r, "system")) for r in records)
+        return Exhibit("Versions and machines behind it", grids=(
+            grid("Versions and commits of the code that trained", "cudc-bench", ("commit", *packages), codes),
+            grid("Machines that trained", "processor", ("device", "system"), machines),
+        ))  # fmt: skip
+
+    def summary(self, board: Board) -> tuple[str, ...]:
+        """What a comparison is about."""
+        counts = (span([board.runs], "run"), span([len(board.methods)], "method"))
+        domains = ", ".join(table.domain for table in board.tables)
+        seeds = span([cell.n for table in board.tables for cell in table.cells] or [0], "seed")
+        return (f"{', '.join(counts)} on {domains}; {seeds} behind a cell.",)
+
+    def badges(self, board: Board) -> tuple[str, ...]:
+        """What to know before reading it."""
+        return ("Preliminary: fewer than five seeds",) if board.preliminary else ()
+
+    def board(self, board: Board) -> tuple[Exhibit, ...]:
+        """All that a comparison shows."""
+        parts: list[Exhibit] = []
+        if board.overall is not None:
+            parts += self._ranking(board, board.overall)
+        matrix = tuple(self._matrix(board, milestone) for milestone in board.milestones)
+        parts.append(Exhibit(
+            "Methods and tasks", grids=matrix,
+            text=("Each number leads to its runs, each task to its curves and intervals, each method to what it is.",),
+        ))  # fmt: skip
+        if board.overall is not None:
+            parts += self._comparisons(board, board.overall)
+        parts += self.studies_list(self.studies_of(board))
+        scopes = {one.scope for one in board.overall.comparisons} if board.overall else set()
+        shown = {"intervals", "profiles", "ranks", *({"domains"} if len(scopes) > 1 else ())}
+        parts += self.further(board.slug, shown, {"overall", "scores"})
+        missing = [one for one in self.site.missing if (one.group, one.algorithm) == (board.group, board.algorithm)]
+        if missing:
+            parts.append(_missing(missing))
+        return tuple(parts)
+
+    def _ranking(self, board: Board, overall: Overall) -> list[Exhibit]:
+        headline = overall.headline
+        grids = [self._standings(board, one) for one in overall.comparisons if one.scope == headline.scope]
+        figures = self.figure(board.slug, "intervals", f"Aggregates of each method with 95 % intervals, {headline.title}; numbers above.")
+        return [Exhibit(
+            f"Ranking over {headline.scope}", grids=tuple(grids), figures=figures,
+            downloads=self.downloads(board.slug, ("overall", "scores", "intervals")),
+            text=(overall.caption, *(f"Left out: {line}" for line in headline.left_out)),
+            lead=f"{PRELIMINARY}" if headline.preliminary else "",
+        )]  # fmt: skip
+
+    def _standings(self, board: Board, comparison: Comparison) -> Grid:
+        standings = sorted(comparison.standings, key=lambda one: -one.estimates["iqm"].value)
+        highs = [one.estimates["iqm"].cluster.high for one in standings if one.estimates["iqm"].cluster]
+        largest = ceil(10 * max([*highs, *(one.estimates["iqm"].value for one in standings), 0.1]) - 1e-9) / 10
+        columns = (
+            Heading("IQM"), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
+            Heading("P(rank 1)"), Heading("median"), Heading("mean"), Heading("optimality gap"), Heading("seeds"),
+        )  # fmt: skip
+        lines = [Line(self.name(one.method), self._standing(one, largest)) for one in standings]
+        return Grid(f"{comparison.title}, {comparison.seeds}, by IQM", "method", columns, tuple(lines), milestone=comparison.milestone,
+                    filters="methods")  # fmt: skip
+
+    def _standing(self, standing: Standing, largest: float) -> tuple[Item, ...]:
+        found = standing.estimates["iqm"]
+        within = found.cluster
+        low, high = (within.low, within.high) if within else (found.value, found.value)
+        rest = [
+            Item(f"{standing.estimates[name].value:.3f}", standing.estimates[name].value) for name in ("median", "mean", "optimality_gap")
+        ]
+        return (
+            Item(f"{found.value:.3f}", found.value),
+            Item(f"{low:.3f} to {high:.3f}") if within else Item(),
+            Item("", found.value, picture=bar(low, found.value, high, largest, self.colour(standing.method))),
+            Item(f"{standing.ranks[0]:.2f}", standing.ranks[0]) if standing.ranks else Item(),
+            *rest,
+            count(standing.n),
+        )
+
+    def _comparisons(self, board: Board, overall: Overall) -> list[Exhibit]:
+        headline = overall.headline
+        found = []
+        figures = (
+            *self.figure(board.slug, "profiles", f"Performance profiles, {headline.title}: share of runs above each score."),
+            *self.figure(board.slug, "ranks", f"Probability of each rank by IQM, {headline.title}."),
+        )
+        if figures:
+            found.append(Exhibit("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
+        others = [one for one in overall.comparisons if one.scope != headline.scope]
+        if others:
+            parts = [
+                Exhibit(scope, grids=tuple(self._standings(board, one) for one in others if one.scope == scope),
+                        text=tuple(f"Left out: {line}" for one in others if one.scope == scope for line in one.left_out))
+                for scope in dict.fromkeys(one.scope for one in others)
+            ]  # fmt: skip
+            figures = self.figure(
+                board.slug, "domains", f"IQM of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
+            )
+            downloads = self.downloads(board.slug, ("domains",))
+            found.append(Exhibit("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))
+        pairs = tuple(self._pairs(one) for one in overall.comparisons if one.scope == headline.scope and one.pairs)
+        if pairs:
+            found.append(Exhibit("Method against method", grids=pairs, text=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),), folded=True))
+        return found
+
+    def _pairs(self, comparison: Comparison) -> Grid:
+        found = {(pair.method, pair.other): pair for pair in comparison.pairs}
+        lines = []
+        for method in comparison.methods:
+            items = []
+            for other in comparison.methods:
+                pair = found.get((method, other))
+                within = f"{pair.interval.low:.2f} to {pair.interval.high:.2f}" if pair and pair.interval else ""
+                items.append(Item() if pair is None else Item(f"{pair.probability:.2f}", pair.probability, best=pair.better, note=within))
+            lines.append(Line(self.name(method), tuple(items)))
+        return Grid(f"Probability that the row's method is better than the column's, {comparison.title}", "better than",
+                    tuple(Heading(method) for method in comparison.methods), tuple(lines), milestone=comparison.milestone,
+                    filters="methods")  # fmt: skip
+
+    def _matrix(self, board: Board, milestone: int) -> Grid:
+        columns, groups = [], []
+        for table in board.tables:
+            groups.append((table.domain, len(table.tasks), domain_path(table)))
+            columns += [Heading(task, link=task_path(table, task)) for task in table.tasks]
+        lines = []
+        for method in board.methods:
+            items: list[Item] = []
+            for table in board.tables:
+                section = next((one for one in table.sections if one.milestone == milestone), None)
+                items += [self.cell(table, section, row, method) for row in section.rows] if section else [Item() for _ in table.tasks]
+            lines.append(Line(self.name(method), tuple(items)))
+        caption = (
+            f"{board.algorithm}, profile {brief(board.group)}, {short(milestone)} gradient steps: mean ± sample standard deviation (seeds)"
+        )
+        return Grid(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods")
+
+    def domain(self, board: Board, table: Table) -> Page:
+        """The page of a table."""
+        single = replace(board, tables=(table,))
+        exhibits = [Exhibit(
+            "Results", grids=tuple(self._matrix(single, section.milestone) for section in reversed(table.sections)),
+            downloads=self.downloads(table.slug, ("table",)), text=(table.caption,),
+        )]  # fmt: skip
+        curves = self.figure(table.slug, "curves", f"Learning curves on {table.domain}: return over gradient steps, a panel for each task.")
+        if curves:
+            exhibits.append(Exhibit("Learning curves", figures=curves, downloads=self.downloads(table.slug, ("curves",))))
+        paper = beside_paper(table)
+        if paper is not None:
+            text = (paper.caption, "The numbers stand in the table above, behind the switch.")
+            exhibits.append(Exhibit("Beside the paper", text=text, downloads=self.downloads(table.slug, ("paper",))))
+        bars = self.figure(table.slug, "bars", f"Mean returns on {table.domain} at each milestone, a panel for each task.")
+        if bars:
+            exhibits.append(Exhibit("At the milestones", figures=bars, downloads=self.downloads(table.slug, ("bars",))))
+        exhibits += self.studies_list([study for study in self.site.studies if study.folder == table.slug])
+        own = {f"task-{task}" for task in table.tasks}
+        exhibits += self.further(table.slug, {"curves", "bars", *own}, {"table", "paper"})
+        exhibits.append(Exhibit("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
+        lead = (f"{domain_text(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
+        return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(exhibits))
+
+    def task(self, board: Board, table: Table, task: str) -> Page:
+        """The page of a task of a table."""
+        largest = largest_return(table.domain, task)
+        grids = []
+        for section in reversed(table.sections):
+            row = next(one for one in section.rows if one.task == task)
+            grids.append(self._task_grid(table, section, row, largest))
+        name = f"task-{task}" if f"task-{task}.svg" in self.site.files.get(table.slug, ()) else "curves"
+        what = f"Learning curves of all methods on {table.domain} {task}: mean return over gradient steps, band: one standard deviation."
+        exhibits = [
+            Exhibit("Results", grids=tuple(grids), text=(
+                "Interval: 95 % of the mean, by Student's t over collector seeds; of few seeds it can pass what is possible. Seeds: a dot"
+                " for each, a bar at the mean"
+                + (f", from 0 to {largest:,.0f}" if largest else "") + ". Paper: as reported there, from another implementation, not to be"
+                " ranked with ours; difference in the paper's standard deviations.",
+            )),
+            Exhibit("Learning curves", figures=self.figure(table.slug, name, what), downloads=self.downloads(table.slug, (name,))),
+        ]  # fmt: skip
+        lead = (
+            f"{table.algorithm}, profile {brief(table.group)}."
+            + (f" The largest possible return is {largest:,.0f}." if largest else " The largest possible return is not known."),
+        )
+        others = tuple(Item(one, link=task_path(table, one)) for one in table.tasks if one != task)
+        if others:
+            exhibits.append(Exhibit(f"Other tasks of {table.domain}", lines=others))
+        crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
+        return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(exhibits))
+
+    def _task_grid(self, table: Table, section: Section, row: Row, largest: float | None) -> Grid:
+        papers = self.paper(table)
+        columns = [Heading("mean"), Heading("std"), Heading("95 % interval", sorts=False), Heading("seeds"),
+                   Heading("each seed", number=False, sorts=False)]  # fmt: skip
+        with_paper = any((section.milestone, row.task, method) in papers for method in table.methods)
+        if with_paper:
+            columns += [Heading("paper"), Heading("difference")]
+        lines = []
+        reach = largest or max([1.0, *(abs(cell.mean) for cell in row.cells if cell)])
+        together = by_column(table, row.task)
+        for method, cell in zip(table.methods, row.cells, strict=True):
+            items = [Item()] * len(columns)
+            if cell is not None:
+                link = runs_path(table, row.task, method, section.milestone)
+                items = [*self._numbers(cell, largest, link), count(cell.n)]
+                picture = dots(seed_scores(together[method], section.milestone), cell.mean, reach, self.colour(method))
+                items.append(Item("", cell.mean, picture=picture))
+                if with_paper:
+                    items += _paper_items(papers.get((section.milestone, row.task, method)), largest)
+            lines.append(Line(self.name(method), tuple(items)))
+        low, high = section.episodes
+        caption = (
+            f"{table.domain} {row.task} after {short(section.milestone)} gradient steps, evaluation episodes:"
+            f" {low if low == high else f'{low} to {high}'}"
+        )
+        return Grid(caption, "method", tuple(columns), tuple(lines), milestone=section.milestone, filters="methods")
+
+    def _numbers(self, cell: Cell, largest: float | None, link: str) -> list[Item]:
+        within = None if cell.std is None else student(cell.mean, cell.std, cell.n)
+
+        def scaled(*values: float) -> str:
+            return " to ".join(f"{value / largest:.3f}" for value in values) if largest else MISSING
+
+        return [
+            Item(f"{cell.mean:.1f}", cell.mean, link, cell.best, scaled(cell.mean)),
+            Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=scaled(cell.std)),
+            Item() if within is None else Item(f"{within.low:.0f} to {within.high:.0f}", scaled=scaled(within.low, within.high)),
+        ]
+
+
+def _missing(missing: Sequence[Missing]) -> Exhibit:
+    lines, code = [], []
+    for one in missing:
+        what = f"{one.method} on {one.domain}: {', '.join(one.tasks)}, {span([len(one.seeds)], 'seed')}"
+        if one.command:
+            code.append((what, one.command))
+        else:
+            lines.append(Item(f"{what} (by the commands of its other records)"))
+    return Exhibit("What is missing", lead="Runs that would make the comparison complete, with the commands that make them.",
+                   lines=tuple(lines), code=tuple(code), folded=len(missing) > 5)  # fmt: skip
+
+
+def _paper_items(paper: Beside | None, largest: float | None) -> list[Item]:
+    if paper is None or paper.paper is None:
+        return [Item(), Item()]
+    mean, std = paper.paper
+    shown = Item(pm(mean, std), mean, scaled=pm_scaled(mean, std, largest) if largest else MISSING)
+    return [shown, Item() if paper.difference is None else Item(f"{paper.difference:+.1f} σ", paper.difference)]

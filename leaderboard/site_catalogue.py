@@ -1,0 +1,219 @@
+"""Pages of methods and datasets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from cudc_bench.data.card import facts_of
+from cudc_bench.markup import plain
+
+from .load import column, short
+from .methods import describe
+from .site_datasets import Dataset, Local
+from .site_models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
+from .site_parts import (
+    Board,
+    Parts,
+    brief,
+    commit,
+    count,
+    dataset_path,
+    domain_text,
+    machine_text,
+    method_path,
+    number,
+    origin,
+    runs_path,
+    task_path,
+    version,
+)
+from .statistics import student
+from .table import Table
+
+
+class Catalogue(Parts):
+    """Builds them."""
+
+    def methods_page(self) -> Page:
+        """The list of methods."""
+        lines = []
+        counts: Counter[str] = Counter(column(record) for table in self.site.every_table for record in table.records)
+        sets: Counter[str] = Counter(dataset.method for dataset in self.site.datasets)
+        for method in self.site.methods:
+            known = describe(self._registered(method))
+            lines.append(Line(self.name(method), (
+                Item(known.family or MISSING), Item(known.citation or MISSING), count(sets[method]), count(counts[method]),
+            )))  # fmt: skip
+        columns = (Heading("explores by", number=False), Heading("from", number=False), Heading("datasets"), Heading("runs"))
+        grid = Grid("Methods with results", "method", columns, tuple(lines), filters="methods")
+        return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Exhibit("All methods", grids=(grid,)),))
+
+    def _registered(self, method: str) -> str:
+        """The name under which a column's method may be registered."""
+        return next(r.dataset.method for table in self.site.every_table for r in table.records if column(r) == method)
+
+    def method(self, method: str) -> Page:
+        """The page of a method."""
+        known = describe(self._registered(method))
+        records = [record for table in self.site.every_table for record in table.records if column(record) == method]
+        origins = ", ".join(sorted({origin(record) for record in records}))
+        facts = [(name, Item(text)) for name, text in (
+            ("explores by", known.family), ("from", known.citation), ("registered by", known.package), ("data", origins),
+        ) if text]  # fmt: skip
+        text = known.text or ("Nothing more is known of it here: no collector of this name is installed, or its source cannot be read.",)
+        exhibits = [Exhibit("What it is", prose=text, facts=tuple(facts))]
+        for board in self.site.boards:
+            if not any(method in table.methods for table in (*board.tables, *board.hidden)):
+                continue
+            exhibits.append(self._method_results(board, method))
+        datasets = [dataset for dataset in self.site.datasets if dataset.method == method]
+        exhibits.append(Exhibit("Datasets", grids=(self._datasets_grid(datasets),)))
+        crumbs = (("Overview", "index.html"), ("Methods", "methods/index.html"))
+        return Page(method_path(method), method, crumbs, (), (), tuple(exhibits))
+
+    def _method_results(self, board: Board, method: str) -> Exhibit:
+        grids = []
+        for milestone in board.milestones:
+            lines = []
+            for table in (one for one in (*board.tables, *board.hidden) if method in one.methods):
+                section = next((one for one in table.sections if one.milestone == milestone), None)
+                for row in section.rows if section else ():
+                    cell = row.cells[table.methods.index(method)] if method in table.methods else None
+                    item = self.cell(table, section, row, method) if section else Item()
+                    within = student(cell.mean, cell.std, cell.n) if cell and cell.std is not None else None
+                    lines.append(Line(Item(f"{table.domain} {row.task}", link=self._task_link(board, table, row.task)), (
+                        item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(),
+                    )))  # fmt: skip
+            caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
+            columns = (Heading("return"), Heading("95 % interval", sorts=False))
+            grids.append(Grid(caption, "task", columns, tuple(lines), milestone=milestone))
+        facts = []
+        for comparison in board.overall.comparisons if board.overall else ():
+            standing = next((one for one in comparison.standings if one.method == method), None)
+            if standing is None:
+                continue
+            found = standing.estimates["iqm"]
+            around = f" ({found.cluster.low:.3f} to {found.cluster.high:.3f})" if found.cluster else ""
+            chance = f", rank 1 with probability {standing.ranks[0]:.2f}" if standing.ranks else ""
+            facts.append((comparison.title, Item(f"IQM {found.value:.3f}{around}{chance}")))
+        return Exhibit(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
+
+    @staticmethod
+    def _task_link(board: Board, table: Table, task: str) -> str | None:
+        shown = any(one.slug == table.slug and task in one.tasks for one in board.tables)
+        return task_path(table, task) if shown else None
+
+    def datasets_page(self) -> Page:
+        """The list of datasets."""
+        grid = self._datasets_grid(self.site.datasets, methods=True)
+        lead = ("What was collected without rewards, and then trained on. One dataset is one seed of one method.",)
+        return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), (Exhibit("All datasets", grids=(grid,)),))
+
+    def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> Grid:
+        lines = []
+        for dataset in datasets:
+            local = self.site.local.get(dataset.word)
+            cells = local.quality.coverage.coverage_cells if local and local.quality and local.quality.coverage else None
+            method = self.name(dataset.method)
+            lines.append(Line(Item(dataset.name, link=dataset_path(dataset)), (
+                *([method] if methods else []), Item(dataset.domain), count(dataset.seed), Item(brief(dataset.settings)),
+                count(dataset.steps), Item() if cells is None else count(cells), count(len(dataset.records)),
+            )))  # fmt: skip
+        columns = [Heading("domain", number=False), Heading("seed"), Heading("collected at", number=False), Heading("steps"),
+                   Heading("visited cells"), Heading("runs")]  # fmt: skip
+        if methods:
+            columns.insert(0, Heading("method", number=False))
+        return Grid(f"Datasets: {len(datasets):,}", "dataset", tuple(columns), tuple(lines), filters="datasets" if methods else "")
+
+    def dataset(self, dataset: Dataset) -> Page:
+        """The page of a dataset."""
+        first = dataset.records[0]
+        local = self.site.local.get(dataset.word)
+        sources = sorted({origin(record) for record in dataset.records})
+        facts = [
+            ("method", self.name(dataset.method)), ("domain", Item(domain_text(dataset.domain))), ("seed", Item(str(dataset.seed))),
+            ("steps", Item(f"{dataset.steps:,}")), ("collected at", Item(dataset.settings)), ("origin", Item(", ".join(sources))),
+        ]  # fmt: skip
+        labelled = Grid("What was trained on", "task", (Heading("dataset", number=False), Heading("fingerprint", number=False)), tuple(
+            Line(Item(task), (Item(one), Item(fingerprint))) for task, one, fingerprint in dataset.labelled
+        ))  # fmt: skip
+        exhibits = [Exhibit("What it is", facts=tuple(facts), grids=(labelled,))]
+        load = [("", f'minari.load_dataset("{one}")') for one in dict.fromkeys(one for _, one, _ in dataset.labelled)]
+        if dataset.id is not None:
+            load.insert(0, ("", f'minari.load_dataset("{dataset.id}")'))
+            exhibits.append(Exhibit("Load it", lead="In Python, after: import minari", code=tuple(dict.fromkeys(load))))
+        again = dataset.commands
+        if again:
+            exhibits.append(Exhibit("Make it again", code=tuple(again)))
+        else:
+            why = "It was imported; nobody can be told how to collect it again." if dataset.source else "Its records do not say enough."
+            exhibits.append(Exhibit("Make it again", lead=f"There is no command for that. {why}"))
+        if local is None:
+            why = "This dataset was not measured: with its records' fingerprint it was not in Minari's root where this page was made."
+            exhibits.append(Exhibit("Measures", lead=f"{why}{' The commands above make it again.' if again else ''}"))
+        else:
+            exhibits += _measured(dataset, local)
+        exhibits.append(self._trained(dataset))
+        exhibits.append(
+            Exhibit("Commands of its runs", folded=True, code=tuple(("", one) for one in sorted({r.command for r in dataset.records})))
+        )
+        crumbs = (("Overview", "index.html"), ("Datasets", "datasets/index.html"))
+        title = (
+            f"{dataset.name}, collected at {brief(dataset.settings)}"
+            if dataset.source is None
+            else f"{dataset.name}, {first.dataset.source}"
+        )
+        return Page(dataset_path(dataset), title, crumbs, (), (), tuple(exhibits))
+
+    def _trained(self, dataset: Dataset) -> Exhibit:
+        lines = []
+        for record in sorted(dataset.records, key=lambda r: (r.group, r.algorithm, r.dataset.task, r.seed)):
+            table = self.table_of[id(record)]
+            link = runs_path(table, record.dataset.task, column(record))
+            lines.append(Line(Item(record.dataset.task, link=link), (
+                Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), number(record.final.mean),
+                Item(f"{record.seconds:,.0f}", record.seconds), Item(f"{version(record, 'cudc-bench')}, {commit(record)}"),
+                Item(machine_text(record) or MISSING),
+            )))  # fmt: skip
+        columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final mean"),
+                   Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
+        return Exhibit("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
+
+
+def _measured(dataset: Dataset, local: Local) -> list[Exhibit]:
+    quality = local.quality
+    found = [Exhibit("Its manifest", facts=tuple((name, Item(value)) for name, value in facts_of(local.manifest)))]
+    prefix = f"datasets/{dataset.word}"
+    grids = []
+    facts: list[tuple[str, Item]] = []
+    if quality is not None:
+        if quality.rewards:
+            columns = tuple(
+                map(Heading, ("mean", "25 %", "50 %", "75 %", "95 %", "best", "top 1 % of steps", "steps > 0.5", "steps > 0.9"))
+            )
+            lines = [
+                Line(Item(task), (
+                    *(Item(f"{value:.3f}", value) for value in (one.mean, *one.quantiles, one.best, one.top)),
+                    *(Item(f"{value:.1%}", value) for value in (one.above_half, one.above_nine)),
+                ))
+                for task, one in quality.rewards.items()
+            ]  # fmt: skip
+            grids.append(
+                Grid("Rewards that its states are worth, per step; mean, quantiles and best of trajectories", "task", columns, tuple(lines))
+            )
+        if quality.coverage:
+            facts += [("visited cells", Item(f"{quality.coverage.coverage_cells:,}")),
+                      ("entropy of visits", Item(f"{quality.coverage.coverage_entropy:.2f} nats"))]  # fmt: skip
+        facts += [("std of actions", Item(f"{sum(quality.action_std) / len(quality.action_std):.3f}")),
+                  ("actions at their bounds", Item(f"{quality.action_saturated:.1%}"))]  # fmt: skip
+        if quality.action_correlation is not None:
+            facts.append(("correlation of consecutive actions", Item(f"{quality.action_correlation:.2f}")))
+    alts = {
+        "density": "Density of the rewards of single steps, a panel for each task; quantiles in the table.",
+        "k": "k over environment steps.",
+        "losses": "Losses of the collector over environment steps.",
+    }
+    figures = tuple(Figure(f"{prefix}.{name}.svg", alt) for name, alt in alts.items() if name in local.figures)
+    found.append(Exhibit("Measures", grids=tuple(grids), facts=tuple(facts), figures=figures))
+    return found

@@ -1,0 +1,318 @@
+"""The datasets behind a leaderboard: what its records say of each, and what can be measured of those that are on this machine."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cudc_bench.descriptors import DescriptorCoverage
+from cudc_bench.envs import check_domain
+from cudc_bench.errors import CudcBenchError, UsageError
+from cudc_bench.ids import default_id, parse_id
+from cudc_bench.manifest import Manifest, exists, read_manifest
+from cudc_bench.markup import plain
+from cudc_bench.progress import bars
+from cudc_bench.provenance import command_line, is_own_command
+from cudc_bench.records import Record, settings_text
+
+from .diagnostics import Run, compare, diagnostics_path, read_diagnostics
+from .files import write_files
+from .load import column
+from .quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
+from .table import Table, file_word
+
+FOLDER = "datasets"  # in the output, of these pages and of what they show
+MEASURES = "measures.json"  # in that folder: what was measured, by fingerprint, so that it is measured once
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A collection that one or several records were trained on.
+
+    Attributes:
+        id: the collected dataset's; None where the records' ids do not tell or are none.
+        name: what to call it.
+        method: its column in tables.
+        domain, seed, steps, profile, overrides, source: as in the records.
+        labelled: task, id and fingerprint of each dataset that was trained on.
+        records: all that were trained on it.
+        word: a safe and unique name for files.
+    """
+
+    id: str | None
+    name: str
+    method: str
+    domain: str
+    seed: int
+    steps: int
+    profile: str
+    overrides: Mapping[str, Any] = field(hash=False)
+    source: str | None
+    labelled: tuple[tuple[str, str, str], ...]
+    records: tuple[Record, ...] = field(repr=False)
+    word: str
+
+    @property
+    def settings(self) -> str:
+        """The profile of its collection and whatever differs from it."""
+        return f"{self.profile} ({settings_text(self.overrides)})" if self.overrides else self.profile
+
+    @property
+    def commands(self) -> list[tuple[str, str]]:
+        """What collects and labels it again, as label and command; nothing where no command could."""
+        if self.source is not None or self.id is None:
+            return []
+        options = {"--domain": self.domain, "--method": self.records[0].dataset.method, "--seed": str(self.seed), "--profile": self.profile}
+        try:
+            if str(default_id(self.domain, self.records[0].dataset.method, self.seed)) != self.id:
+                options["--dataset-id"] = self.id
+        except UsageError:
+            options["--dataset-id"] = self.id
+        found = [("Collect it", command_line("collect", options, self.overrides)), ("Label it", f"cudc-bench relabel {self.id}")]
+        return [(label, command) for label, command in found if is_own_command(command)]
+
+
+@dataclass(frozen=True)
+class Local:
+    """A dataset that is in Minari's root on this machine, with the fingerprint that the records name.
+
+    Attributes:
+        id, manifest: which.
+        quality: what its states are worth, without the particle entropy; None where it has no physics states.
+        figures: SVG by name: ``density``, ``k``, ``losses``, as far as there is something to draw.
+    """
+
+    id: str
+    manifest: Manifest
+    quality: Quality | None
+    figures: Mapping[str, bytes]
+
+    @property
+    def digest(self) -> str:
+        """Tells whether anything of it has changed."""
+        figures = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(self.figures.items()))
+        return hashlib.sha256("\n".join([self.manifest.model_dump_json(), repr(self.quality), *figures]).encode()).hexdigest()
+
+
+def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
+    """The datasets behind some tables, by domain, profile, method and seed."""
+    together: dict[tuple[str, str, str, int, str], list[Record]] = defaultdict(list)
+    for table in tables:
+        for record in table.records:
+            one = record.dataset
+            settings = f"{one.profile} {json.dumps(one.overrides, sort_keys=True)}"
+            together[one.domain, settings, column(record), one.seed, base_id(record) or one.id].append(record)
+    found = []
+    for key in sorted(together):
+        domain, settings, method, seed, name = key
+        records = together[key]
+        one = records[0].dataset
+        labelled = sorted({(record.dataset.task, record.dataset.id, record.dataset.fingerprint) for record in records})
+        word = file_word(
+            name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key))
+        )
+        # Ids that differ in where a slash stands, and profiles under one id, must not share a page.
+        word = f"{word[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
+        found.append(
+            Dataset(base_id(records[0]), plain(name), method, domain, seed, one.steps, one.profile, one.overrides, one.source,
+                    tuple(labelled), tuple(records), word)
+        )  # fmt: skip
+    return found
+
+
+def base_id(record: Record) -> str | None:
+    """The id of the dataset whose states a record's are: ``walker/cudc-v0`` for ``walker/walk/cudc-v0``; None if its id is none."""
+    try:
+        one = parse_id(record.dataset.id)
+    except UsageError:
+        return None
+    parts = one.namespace.split("/")
+    if len(parts) > 1 and parts[-1] == record.dataset.task:
+        return f"{'/'.join(parts[:-1])}/{one.name}-v{one.version}"
+    return str(one)
+
+
+class _Density(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    mean: float
+    quantiles: Annotated[tuple[float, ...], Field(min_length=len(QUANTILES), max_length=len(QUANTILES))]
+    best: float
+    top: float
+    above_half: float
+    above_nine: float
+    density: Annotated[tuple[float, ...], Field(min_length=BINS, max_length=BINS)]
+
+
+class _Measures(BaseModel):
+    """What is kept of a dataset: numbers, and the digests of figures that lie beside this file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    code: str  # the version of this project that measured
+    diagnostics: str  # SHA-256 of the diagnostics that figures were drawn from; empty without any
+    rewards: dict[str, _Density] | None
+    coverage: tuple[int, float] | None
+    action_std: tuple[float, ...]
+    action_saturated: float
+    action_correlation: float | None
+    figures: dict[str, str]
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    measures: dict[str, _Measures] = {}
+
+
+def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Local], list[str]]:
+    """Those of some datasets that are on this machine, by their ``word``, measured; and a line for each that could not be.
+
+    What was measured is kept in ``<output>/datasets/measures.json`` by fingerprint, so that only new datasets take time (seconds each).
+    """
+    folder = output / FOLDER
+    present, remarks = [], []
+    for dataset in datasets:
+        try:
+            if (found := _present(dataset)) is not None:
+                present.append((dataset, *found))
+        except CudcBenchError as error:
+            remarks.append(plain(str(error)))
+        except OSError as error:
+            remarks.append(plain(f"cannot look for the dataset {dataset.name}: {error.strerror}."))
+    if not present:
+        return {}, remarks
+    kept = _read(folder / MEASURES)
+    fresh = {one: kept[manifest.fingerprint] for _, one, manifest in present if _is_fresh(kept.get(manifest.fingerprint), one)}
+    todo = list({one: manifest for _, one, manifest in present if one not in fresh}.items())
+    measured: dict[str, tuple[Quality | None, str]] = {}
+    with bars([(f"measuring {one}", manifest.steps) for one, manifest in todo], "states") as advances:
+        for (one, manifest), advance in zip(todo, advances, strict=True):
+            try:
+                has_states = "infos/physics" in manifest.fields
+                quality = measure(one, manifest, check_domain(manifest.domain), advance)[0] if has_states else None
+                measured[one] = quality, _digest(one)
+            except CudcBenchError as error:
+                remarks.append(plain(str(error)))
+    locals_: dict[str, Local] = {}
+    for dataset, one, manifest in present:
+        if one in fresh:
+            old = fresh[one]
+            figures = {name: _kept_figure(folder / f"{dataset.word}.{name}.svg", digest) for name, digest in old.figures.items()}
+            whole = {name: content for name, content in figures.items() if content is not None}
+            quality = _quality(one, manifest, old)
+            if len(whole) < len(figures):
+                whole = _draw(one, manifest, quality)
+        elif one in measured:
+            quality = measured[one][0]
+            whole = _draw(one, manifest, quality)
+        else:
+            continue
+        locals_[dataset.word] = Local(one, manifest, quality, whole)
+        kept[manifest.fingerprint] = _measures(quality, _digest(one), whole)
+    text = _Kept(measures=dict(sorted(kept.items()))).model_dump_json(indent=1)
+    write_files(folder, {MEASURES: f"{text}\n"})
+    return locals_, remarks
+
+
+def _present(dataset: Dataset) -> tuple[str, Manifest] | None:
+    """The collected dataset's id and manifest, if a labelled one is here with the records' fingerprint and its base is the right one."""
+    for _, one, fingerprint in dataset.labelled:
+        try:
+            if not exists(one):
+                continue
+            manifest = read_manifest(one)
+        except UsageError:
+            continue  # no id, or somebody else's dataset
+        if manifest.fingerprint != fingerprint:
+            continue
+        if manifest.base is None:
+            return one, manifest
+        try:
+            base = read_manifest(manifest.base.id)
+        except UsageError:
+            continue
+        if base.fingerprint == manifest.base.fingerprint:
+            return manifest.base.id, base
+    return None
+
+
+def _read(path: Path) -> dict[str, _Measures]:
+    try:
+        return dict(_Kept.model_validate_json(path.read_bytes()).measures)
+    except (OSError, ValidationError):
+        return {}  # Measured again.
+
+
+def _is_fresh(measures: _Measures | None, dataset_id: str) -> bool:
+    return measures is not None and measures.code == version("cudc-bench") and measures.diagnostics == _digest(dataset_id)
+
+
+def _digest(dataset_id: str) -> str:
+    try:
+        return hashlib.sha256(diagnostics_path(dataset_id).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _kept_figure(path: Path, digest: str) -> bytes | None:
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    return content if hashlib.sha256(content).hexdigest() == digest else None
+
+
+def _measures(quality: Quality | None, diagnostics: str, figures: Mapping[str, bytes]) -> _Measures:
+    coverage = None if quality is None or quality.coverage is None else quality.coverage
+    return _Measures(
+        code=version("cudc-bench"),
+        diagnostics=diagnostics,
+        rewards=None if quality is None else {task: _Density(**vars(one)) for task, one in quality.rewards.items()},
+        coverage=None if coverage is None else (coverage.coverage_cells, coverage.coverage_entropy),
+        action_std=() if quality is None else quality.action_std,
+        action_saturated=0.0 if quality is None else quality.action_saturated,
+        action_correlation=None if quality is None else quality.action_correlation,
+        figures={name: hashlib.sha256(content).hexdigest() for name, content in sorted(figures.items())},
+    )
+
+
+def _quality(dataset_id: str, manifest: Manifest, old: _Measures) -> Quality | None:
+    if old.rewards is None:
+        return None
+    return Quality(
+        id=dataset_id,
+        manifest=manifest,
+        rewards={task: RewardDensity(**one.model_dump()) for task, one in old.rewards.items()},
+        coverage=None if old.coverage is None else DescriptorCoverage(*old.coverage),
+        particle_entropy=None,
+        action_std=old.action_std,
+        action_saturated=old.action_saturated,
+        action_correlation=old.action_correlation,
+    )
+
+
+def _draw(dataset_id: str, manifest: Manifest, quality: Quality | None) -> dict[str, bytes]:
+    from .diagnostic_figures import diagnostic_files
+    from .figures import figure_files
+    from .quality_files import draw_density
+
+    files: dict[str, bytes] = {}
+    if quality is not None and quality.rewards:
+        tasks = tuple(quality.rewards)
+        table = QualityTable(plain(manifest.profile), plain(manifest.domain), tasks, "", (manifest.label,), (quality,))
+        files |= figure_files("density", lambda: draw_density(table))
+    try:
+        (comparison,), _ = compare([Run(dataset_id, manifest, *read_diagnostics(dataset_id))])
+        files |= diagnostic_files(comparison)
+    except CudcBenchError:
+        pass  # Imported data have no diagnostics, and damaged ones are no reason to leave the rest out.
+    return {name.removesuffix(".svg"): content for name, content in files.items() if name.endswith(".svg")}

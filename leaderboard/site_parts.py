@@ -1,0 +1,331 @@
+"""What the pages of the static site share: what they are made from, names, paths, and the cells that several of them show."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
+from cudc_bench.markup import plain
+from cudc_bench.records import Record
+
+from .figures import looks
+from .load import column
+from .missing import Missing
+from .overall import Overall
+from .published import Beside, beside_paper
+from .site_datasets import Dataset, Local, datasets_of
+from .site_models import MISSING, Exhibit, Figure, Item, swatch
+from .study import Study
+from .table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered
+
+Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
+_DASHES = {"-": "", "--": "5 2", "-.": "5 2 1.5 2", ":": "1.5 2"}
+_LONG = 90  # letters of a name that stands in a line with others
+
+
+@dataclass(frozen=True)
+class Site:
+    """What the site is made from.
+
+    Attributes:
+        tables, overall, problems, missing: as in ``api.Report``.
+        files: names of the files that lie in each slug's folder; they can be shown and downloaded.
+        places: where each record is below the results that were read.
+        local: datasets that are on this machine, by ``Dataset.word``.
+        studies: as in ``api.Report``.
+        hidden: tables of the methods that only studies show, for the pages of their runs.
+    """
+
+    tables: Sequence[Table]
+    overall: Sequence[Overall]
+    problems: Sequence[str] = ()
+    missing: Sequence[Missing] = ()
+    files: Mapping[str, Collection[str]] = field(default_factory=dict)
+    places: Mapping[Run, str] = field(default_factory=dict)
+    local: Mapping[str, Local] = field(default_factory=dict)
+    studies: Sequence[Study] = ()
+    hidden: Sequence[Table] = ()
+
+    @cached_property
+    def boards(self) -> list[Board]:
+        """What may be compared, the one to show first in front."""
+        found: dict[tuple[str, str], list[Table]] = defaultdict(list)
+        hidden: dict[tuple[str, str], list[Table]] = defaultdict(list)
+        for tables, into in ((self.tables, found), (self.hidden, hidden)):
+            for table in tables:
+                into[table.records[0].group, table.algorithm].append(table)
+        # Where there is nothing else, methods of studies are what there is to compare.
+        found |= {key: tables for key, tables in hidden.items() if key not in found}
+        places = list(DOMAINS)
+        boards = []
+        for (group, algorithm), tables in found.items():
+            tables.sort(key=lambda one: (places.index(one.domain) if one.domain in places else len(places), one.domain))
+            slug = group_slug(group, algorithm)
+            overall = next((one for one in self.overall if one.slug == slug), None)
+            others = [table for table in hidden[group, algorithm] if all(table is not one for one in tables)]
+            boards.append(Board(tables[0].group, algorithm, slug, tuple(tables), overall, tuple(others)))
+        first = {"paper": 0, "cpu": 1}
+        return sorted(boards, key=lambda one: (first.get(one.group, 2), one.algorithm != "td3", -one.runs, one.group, one.algorithm))
+
+    @cached_property
+    def datasets(self) -> list[Dataset]:
+        """All that were trained on."""
+        return datasets_of(self.every_table)
+
+    @property
+    def every_table(self) -> list[Table]:
+        """Those that are shown, and the hidden ones."""
+        return [*self.tables, *self.hidden]
+
+    @cached_property
+    def methods(self) -> tuple[str, ...]:
+        """All columns of all tables."""
+        return ordered({method for table in self.every_table for method in table.methods}, METHOD_ORDER)
+
+    @cached_property
+    def dataset_of(self) -> dict[int, Dataset]:
+        """By the identity of a record."""
+        return {id(record): dataset for dataset in self.datasets for record in dataset.records}
+
+    def place(self, record: Record) -> str:
+        """Where a record was found; empty if that is not known."""
+        return self.places.get(run_of(record), "")
+
+
+@dataclass(frozen=True)
+class Board:
+    """The tables of one group and algorithm, and their comparison, if there is one."""
+
+    group: str
+    algorithm: str
+    slug: str
+    tables: tuple[Table, ...]
+    overall: Overall | None
+    hidden: tuple[Table, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """A method as the head of a row: its line in figures, and the way to its page."""
+        """For links."""
+        return f"{self.algorithm}, profile {brief(self.group)}"
+
+    @property
+    def path(self) -> str:
+        """Its page."""
+        return f"{self.slug}/index.html"
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods of its tables."""
+        return ordered({method for table in self.tables for method in table.methods}, METHOD_ORDER)
+
+    @property
+    def milestones(self) -> list[int]:
+        """Of its tables, the last first."""
+        return sorted({section.milestone for table in self.tables for section in table.sections}, reverse=True)
+
+    @property
+    def runs(self) -> int:
+        """How many records it has."""
+        return sum(len(table.records) for table in self.tables)
+
+    @property
+    def preliminary(self) -> bool:
+        """Whether a cell has fewer than five seeds."""
+        return any(cell.n < ENOUGH_SEEDS for table in self.tables for cell in table.cells)
+
+
+def run_of(record: Record) -> Run:
+    """What tells a record from others."""
+    return record.group, record.dataset.id, record.algorithm, record.seed, record.submission.by if record.submission else ""
+
+
+def brief(text: str) -> str:
+    """A name without its middle, where it is so long that it would bury the others."""
+    return text if len(text) <= _LONG else f"{text[: _LONG * 2 // 3]} … {text[-_LONG // 4 :]}"
+
+
+class Parts:
+    """What builders of pages have in common."""
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self._papers: dict[str, dict[tuple[int, str, str], Beside]] = {}
+        self._looks: dict[str, dict[str, Any]] = {}  # of the page under way: as in its figures
+
+    @cached_property
+    def table_of(self) -> dict[int, Table]:
+        """By the identity of a record."""
+        return {id(record): table for table in self.site.every_table for record in table.records}
+
+    def crumbs(self, board: Board) -> tuple[tuple[str, str], ...]:
+        """The way from the overview to a comparison."""
+        return ("Overview", "index.html"), (board.name, board.path)
+
+    def look(self, board: Board) -> None:
+        """Take the colours of a comparison's figures."""
+        compared = board.overall.headline.methods if board.overall else ()
+        self._looks = looks(board.methods) | looks(compared)
+
+    def name(self, method: str) -> Item:
+        """A method as the head of a row: its line in figures, and the way to its page."""
+        if method not in self._looks:
+            return Item(method, link=method_path(method))
+        style = self._looks[method]["linestyle"]
+        dashes = _DASHES[style] if isinstance(style, str) else " ".join(f"{one:g}" for one in style[1])
+        return Item(method, link=method_path(method), picture=swatch(self.colour(method), dashes))
+
+    def colour(self, method: str) -> str:
+        """Its colour in figures."""
+        return str(self._looks[method]["color"])
+
+    def figure(self, slug: str, name: str, alt: str) -> tuple[Figure, ...]:
+        """A figure of a slug's folder, if it is there."""
+        return (Figure(f"{slug}/{name}.svg", alt),) if f"{name}.svg" in self.site.files.get(slug, ()) else ()
+
+    def downloads(self, slug: str, names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+        """Those of some files of a slug's folder that are there."""
+        there = self.site.files.get(slug, ())
+        kinds = ("md", "tex", "csv", "svg", "pdf")
+        return tuple((f"{name}.{kind}", f"{slug}/{name}.{kind}") for name in names for kind in kinds if f"{name}.{kind}" in there)
+
+    def further(self, slug: str, figures: Collection[str], tables: Collection[str]) -> list[Exhibit]:
+        """Files of a folder that nothing else shows: figures, and what can be downloaded."""
+        there = sorted(self.site.files.get(slug, ()))
+        of_studies = {study.name for study in self.site.studies if study.folder == slug}
+        shown = {*figures, *tables}
+        there = [name for name in there if not name.startswith(tuple(f"{one}{mark}" for one in of_studies for mark in ".-"))]
+        rest = list(dict.fromkeys(name.rpartition(".")[0] for name in there if name.rpartition(".")[0] not in shown))
+        if not rest:
+            return []
+        pictures = tuple(one for name in rest for one in self.figure(slug, name, f"Figure: {name.replace('-', ' ').replace('_', ' ')}."))
+        return [Exhibit("More", figures=pictures, downloads=self.downloads(slug, rest))]
+
+    def cell(self, table: Table, section: Section, row: Row, method: str) -> Item:
+        """A method's result on a task, with the paper's beside it."""
+        cell = row.cells[table.methods.index(method)] if method in table.methods else None
+        if cell is None:
+            return Item()
+        largest = largest_return(table.domain, row.task)
+        paper = self.paper(table).get((section.milestone, row.task, method))
+        beside = beside_scaled = None
+        if paper is not None and paper.paper is not None:
+            difference = "" if paper.difference is None else f", {paper.difference:+.1f} σ"
+            beside = f"paper {pm(*paper.paper)}{difference}"
+            beside_scaled = f"paper {pm_scaled(*paper.paper, largest)}{difference}" if largest else beside
+        return Item(
+            pm(cell.mean, cell.std), cell.mean, runs_path(table, row.task, method, section.milestone), cell.best,
+            pm_scaled(cell.mean, cell.std, largest) if largest else MISSING, f"({cell.n})", beside, beside_scaled,
+        )  # fmt: skip
+
+    def paper(self, table: Table) -> dict[tuple[int, str, str], Beside]:
+        """The paper's cells beside a table's."""
+        if table.slug not in self._papers:
+            paper = beside_paper(table)
+            self._papers[table.slug] = {(one.milestone, one.task, one.method): one for one in (paper.rows if paper else ())}
+        return self._papers[table.slug]
+
+
+def origin(record: Record) -> str:
+    """Whose a run's data are."""
+    source = record.dataset.source
+    data = "collected with cudc-bench" if source is None else f"imported from {source}"
+    return data if record.submission is None else f"{data}; submitted by {record.submission.by}, not run again here"
+
+
+def by_column(table: Table, task: str) -> dict[str, list[Record]]:
+    """A table's records of a task, by column."""
+    found: dict[str, list[Record]] = defaultdict(list)
+    for record in table.records:
+        if record.dataset.task == task:
+            found[column(record)].append(record)
+    return {method: found[method] for method in table.methods if method in found}
+
+
+def largest_return(domain: str, task: str) -> float | None:
+    """The largest possible return of a task; None if that is not known."""
+    known = DOMAINS.get(domain)
+    return known.max_return if known is not None and task in known.tasks else None
+
+
+def pm(mean: float, std: float | None) -> str:
+    """A mean with its standard deviation, as tables show them."""
+    return f"{round(mean)}" if std is None else f"{round(mean)} ± {round(std)}"
+
+
+def pm_scaled(mean: float, std: float | None, largest: float) -> str:
+    """The same divided by the largest possible return."""
+    return f"{mean / largest:.3f}" if std is None else f"{mean / largest:.3f} ± {std / largest:.3f}"
+
+
+def domain_text(name: str) -> str:
+    """What a domain is, if that is known; else its name."""
+    return domain_title(name) if name in DOMAINS or name.startswith(SUITE) else name
+
+
+def number(value: float) -> Item:
+    """A cell of one number."""
+    return Item(f"{value:.1f}", value)
+
+
+def count(value: int) -> Item:
+    """A cell of a whole number."""
+    return Item(f"{value:,}", value)
+
+
+def version(record: Record, package: str) -> str:
+    """The version of a package that a run was made with."""
+    return record.versions.get(package, "unknown")
+
+
+def commit(record: Record) -> str:
+    """The commit of this project that a run was made with."""
+    if not record.commit:
+        return "no checkout"
+    return f"commit {plain(record.commit)[:12]}{' with local changes' if record.dirty else ''}"
+
+
+def machine(record: Record, name: str) -> str:
+    """What a record says of its machine under a name; empty if that is no text."""
+    value = record.machine.get(name)
+    return value if isinstance(value, str) else ""
+
+
+def machine_text(record: Record) -> str:
+    """The machine in a few words."""
+    return brief(", ".join(filter(None, (machine(record, "processor"), machine(record, "device")))))
+
+
+def domain_path(table: Table) -> str:
+    """The page of a table."""
+    return f"{table.slug}/index.html"
+
+
+def study_path(study: Study) -> str:
+    """The page of a study."""
+    return f"{study.folder}/{study.name}.html"
+
+
+def task_path(table: Table, task: str) -> str:
+    """The page of a task."""
+    return f"{table.slug}/task-{task}.html"
+
+
+def runs_path(table: Table, task: str, method: str, milestone: int | None = None) -> str:
+    """The page of the runs of a method on a task, or the part of it that is about a milestone."""
+    return f"{table.slug}/runs-{task}.{file_word(method)}.html{'' if milestone is None else f'#at-{milestone}'}"
+
+
+def method_path(method: str) -> str:
+    """The page of a method."""
+    # A method may be called "index".
+    return f"methods/method-{file_word(method)}.html"
+
+
+def dataset_path(dataset: Dataset) -> str:
+    """The page of a dataset."""
+    return f"datasets/{dataset.word}.html"

@@ -1,0 +1,96 @@
+"""Pages of the runs behind each cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from cudc_bench.records import Record
+
+from .load import evaluation_at, short
+from .site_models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
+from .site_parts import (
+    Board,
+    Parts,
+    brief,
+    by_column,
+    commit,
+    count,
+    dataset_path,
+    domain_path,
+    machine_text,
+    number,
+    origin,
+    pm,
+    runs_path,
+    task_path,
+    version,
+)
+from .table import ENOUGH_SEEDS, Table, span
+
+
+class Runs(Parts):
+    """Builds them."""
+
+    def runs_of(self, board: Board, table: Table) -> Iterable[Page]:
+        """A page for each task and method of a table."""
+        for task in table.tasks:
+            for method, records in by_column(table, task).items():
+                records.sort(key=lambda one: (one.dataset.seed, one.seed, one.dataset.id))
+                yield self._runs(board, table, task, method, records)
+
+    def _runs(self, board: Board, table: Table, task: str, method: str, records: Sequence[Record]) -> Page:
+        ids = {id(record): f"run-{index}" for index, record in enumerate(records, 1)}
+        exhibits = []
+        for section in reversed(table.sections):
+            lines = []
+            for record in records:
+                found = evaluation_at(record, section.milestone)
+                dataset = self.site.dataset_of[id(record)]
+                numbers = [Item()] * 4
+                if found is not None:
+                    numbers = [number(found.mean), number(min(found.returns)), number(max(found.returns)), count(len(found.returns))]
+                lines.append(Line(Item(f"seed {record.dataset.seed}", record.dataset.seed, f"#{ids[id(record)]}"), (
+                    count(record.seed), *numbers, Item(dataset.name, link=dataset_path(dataset)),
+                )))  # fmt: skip
+            columns = (Heading("training seed"), Heading("mean return"), Heading("lowest"), Heading("highest"), Heading("episodes"),
+                       Heading("dataset", number=False))  # fmt: skip
+            cell = next((one.cells[table.methods.index(method)] for one in section.rows if one.task == task), None)
+            result = "no result" if cell is None else f"{pm(cell.mean, cell.std)} over {span([cell.n], 'seed')}"
+            caption = f"{method} on {table.domain} {task} after {short(section.milestone)} gradient steps: {result}"
+            grid = Grid(caption, "collector seed", columns, tuple(lines))
+            exhibits.append(Exhibit(f"After {short(section.milestone)} gradient steps", grids=(grid,), id=f"at-{section.milestone}"))
+        parts = tuple(self._run(table, record, ids[id(record)]) for record in records)
+        exhibits.append(Exhibit("Each run", parts=parts))
+        # A hidden table has no pages of its own.
+        above = () if any(table is one for one in board.hidden) else ((table.domain, domain_path(table)), (task, task_path(table, task)))
+        crumbs = (*self.crumbs(board), *above)
+        lead = (f"The runs behind {method} in the tables of {table.algorithm}, profile {brief(table.group)}.",)
+        preliminary = len({record.dataset.seed for record in records}) < ENOUGH_SEEDS
+        badges = ("Preliminary: fewer than five seeds",) if preliminary else ()
+        return Page(runs_path(table, task, method), f"{method} on {table.domain} {task}", crumbs, lead, badges, tuple(exhibits))
+
+    def _run(self, table: Table, record: Record, anchor: str) -> Exhibit:
+        dataset = self.site.dataset_of[id(record)]
+        facts = [
+            ("dataset", Item(record.dataset.id, link=dataset_path(dataset))),
+            ("fingerprint", Item(record.dataset.fingerprint)),
+            (
+                "final mean",
+                Item(f"{record.final.mean:.1f} after {short(record.final.step)} steps, {span([len(record.final.returns)], 'episode')}"),
+            ),
+        ]
+        for section in reversed(table.sections):
+            found = evaluation_at(record, section.milestone)
+            if found is not None:
+                facts.append((f"returns at {short(section.milestone)}", Item(", ".join(f"{value:.1f}" for value in found.returns))))
+        facts += [
+            ("training", Item(f"{record.seconds:,.0f} seconds, seed {record.seed}, hyperparameters {brief(record.hyperparameters_hash)}")),
+            ("machine", Item(machine_text(record) or MISSING)),
+            ("code", Item(f"cudc-bench {version(record, 'cudc-bench')}, {commit(record)}")),
+            ("origin", Item(origin(record))),
+            ("made", Item(record.created)),
+        ]
+        if place := self.site.place(record):
+            facts.append(("record", Item(place)))
+        return Exhibit(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
+                       code=(("Makes this record again", record.command),))  # fmt: skip

@@ -1,0 +1,85 @@
+"""Pages of the studies: their tables, whose cells lead to their runs, figures and files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from cudc_bench.records import Record
+
+from . import grid as study_grid
+from .grid_files import text
+from .load import column
+from .site_models import Exhibit, Figure, Grid, Heading, Item, Line, Page
+from .site_parts import Board, Parts, method_path, runs_path, study_path
+from .study import Study
+from .table import ENOUGH_SEEDS
+
+
+class Studies(Parts):
+    """Builds them."""
+
+    def studies_of(self, board: Board) -> list[Study]:
+        """The studies that a comparison's records take part in."""
+        of_group = [study for study in self.site.studies if study.group == board.group]
+        return [study for study in of_group if board.algorithm in (study.algorithm, *(one.algorithm for one in study.records))]
+
+    def studies_list(self, studies: Sequence[Study]) -> tuple[Exhibit, ...]:
+        """Ways to them."""
+        if not studies:
+            return ()
+        lines = tuple(Item(f"{study.title}{f': {study.domain}' if study.domain else ''}", link=study_path(study)) for study in studies)
+        return (Exhibit("Studies", lines=lines, lead="Further comparisons of the same records, each a page of its own."),)
+
+    def study_pages(self) -> Iterable[Page]:
+        """A page for each study."""
+        for study in self.site.studies:
+            grids = [self._exhibit(study, one) for one in study.tables]
+            figures = tuple(
+                Figure(f"{study.folder}/{study.name}-{name}.svg", f"Figure of the study: {name.replace('-', ' ')}.")
+                for name in study.figures
+                if f"{study.name}-{name}.svg" in self.site.files.get(study.folder, ())
+            )
+            names = [study.name, *(f"{study.name}-{one}" for one in (*(table.name for table in study.tables), *study.figures))]
+            exhibits = [
+                *grids,
+                *([Exhibit("Figures", figures=figures)] if figures else []),
+                *([Exhibit("Notes", lines=tuple(map(Item, study.notes)))] if study.notes else []),
+                Exhibit("Files", downloads=self.downloads(study.folder, names)),
+                Exhibit("Make it again", code=tuple(("", command) for command in study.commands), folded=True),
+            ]
+            boards = [board for board in self.site.boards if study in self.studies_of(board)]
+            crumbs = self.crumbs(boards[0]) if len(boards) == 1 else (("Overview", "index.html"),)
+            few = any(entry.n is not None and entry.n < ENOUGH_SEEDS for one in study.tables for *_, entry in one.entries() if entry)
+            badges = ("Preliminary: fewer than five seeds",) if few else ()
+            yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(exhibits))
+
+    def _exhibit(self, study: Study, table: study_grid.Grid) -> Exhibit:
+        grids = []
+        for part in table.parts:
+            milestone = part.key if table.split == "milestone" and isinstance(part.key, int) else None
+            lines = []
+            for line in part.lines:
+                head = self._label(line.labels[0])
+                items = [self._item(study, entry, one, milestone) for one, entry in zip(table.columns, line.entries, strict=True)]
+                lines.append(Line(head, (*map(Item, line.labels[1:]), *items)))
+            columns = (*(Heading(name, number=False) for name in table.head[1:]), *(Heading(one.name) for one in table.columns))
+            grids.append(Grid(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
+        return Exhibit(table.title, grids=tuple(grids), text=(table.caption,))
+
+    def _label(self, label: str) -> Item:
+        return Item(label, link=method_path(label)) if label in self.site.methods else Item(label)
+
+    def _item(self, study: Study, entry: study_grid.Entry | None, one: study_grid.Column, milestone: int | None) -> Item:
+        if entry is None:
+            return Item()
+        shown = text(entry, one, " ± ")
+        return Item(shown, entry.value, self._runs_behind(entry.records, milestone), entry.best)
+
+    def _runs_behind(self, records: Sequence[Record], milestone: int | None) -> str | None:
+        """The page of the runs, if one page has them all; else that of their method."""
+        places = {(id(self.table_of[id(one)]), one.dataset.task, column(one)) for one in records if id(one) in self.table_of}
+        methods = {method for _, _, method in places}
+        if len(places) == 1:
+            first = records[0]
+            return runs_path(self.table_of[id(first)], first.dataset.task, column(first), milestone)
+        return method_path(methods.pop()) if len(methods) == 1 else None
