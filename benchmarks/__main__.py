@@ -16,7 +16,7 @@ from benchmarks.measure import Row
 from cudc_bench.parallel import cores
 from cudc_bench.provenance import commit, processor, versions
 
-NAMES = ("environment", "relabel", "updates", "learners", "protocol", "checkpoints", "sampler", "datasets", "memory")
+NAMES = ("environment", "relabel", "updates", "learners", "protocol", "checkpoints", "sampler", "datasets", "memory", "suite")
 
 
 def main() -> None:

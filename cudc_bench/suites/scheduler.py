@@ -17,7 +17,7 @@ from .display import Display, Running, duration, size
 from .jobs import Job, Plan
 from .pool import Ended, Progress, Worker, listen
 from .queue import Failure, Queue
-from .work import Common, remove
+from .work import Common, finish_removal, made_by, remove
 
 _AGAIN = 1.0  # seconds after which a job is tried again that somebody else kept from starting
 
@@ -33,12 +33,16 @@ class Retention:
 
     def __init__(self, plan: Plan, left: Plan, common: Common) -> None:
         self._users = {one: users & left.needs.keys() for one, users in plan.users().items()}
+        self._all = [one for job in plan.of("collect", "relabel") for one in made_by(job)]
         self._common = common
         self.removed: list[str] = []
         self.size = 0
 
     def job_done(self, job: Job | None, tell: Callable[[str], None]) -> None:
-        """Remove what only this job still needed; with None, what nothing needs from the start."""
+        """Remove what only this job still needed; with None, what nothing needs from the start, and what a killed process left."""
+        if job is None:
+            for one in self._all:
+                finish_removal(one)
         for base in list(self._users) if job is None else job.datasets:
             users = self._users.get(base)
             if users is None:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -58,7 +59,7 @@ def everything(folder: Path) -> dict[str, int]:
     return {str(path): path.lstat().st_mtime_ns for path in folder.rglob("*")}
 
 
-def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Path, tmp_path: Path) -> None:
+def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All methods and domains, one task each and one seed; two at a time."""
     command = ["run", "main", "--profile", "smoke", "--seeds", "1", "--tasks", "stand,reach_top_left"]
     before = everything(tmp_path)
@@ -86,12 +87,13 @@ def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Pat
     plain, ours = records(tmp_path / "plain")[name], found[name]
     assert plain == ours
 
-    again = cli(*command, "--dry-run")
-    assert "0 jobs to do, 54 done" in again.out
-    narrower = cli("run", "main", "--profile", "smoke", "--methods", "cudc", "--tasks", "stand", "--dry-run")
-    assert "measured here" in narrower.out
-    # Ten records of seeds 1 to 5 and two domains, of which two are there, and the eight datasets of seeds 2 to 5.
-    assert "24 jobs to do, 6 done" in narrower.out
+    monkeypatch.chdir(tmp_path)
+    again = prepare("main", profile="smoke", seeds=[1], tasks=["stand", "reach_top_left"])
+    assert not again.queue().plan.needs
+    # Ten records of seeds 1 to 5 and two domains, of which two are there, and the eight datasets of seeds 2 to 5, labelled.
+    wider = prepare("main", profile="smoke", methods=["cudc"], tasks=["stand"])
+    assert Counter(job.kind for job in wider.queue().plan.needs) == {"collect": 8, "relabel": 8, "evaluate": 8}
+    assert {wider.estimates.source(job) for job in wider.queue().plan.of("collect", "evaluate")} == {"measured here"}
 
 
 BROKEN = """
@@ -106,7 +108,7 @@ class Broken(Random):
 
 
 def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_are_written(
-    cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Callable, datasets: Path, tmp_path: Path
 ) -> None:
     package = tmp_path / "package" / "broken-1.0.dist-info"
     package.mkdir(parents=True)
@@ -137,7 +139,7 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert list((tmp_path / "report").rglob("table.md"))
 
     # Another algorithm needs the dataset again: it is the same, and nothing that was recorded is made again.
-    done = cli("run", "my.toml", "--methods", "random", "--algos", "bc,td3-bc", "--workers", "1")
+    done = cli("run", "my.toml", "--methods", "random", "--algos", "bc,td3-bc", "--workers", "1", env={"PYTHONPATH": str(package.parent)})
     assert done.code == 0, done.err
     second = records(tmp_path / "results")
     name = "smoke/jaco/reach_top_left/random-v0/td3-bc-seed1.json"
