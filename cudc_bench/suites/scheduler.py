@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 from cudc_bench import interrupts
@@ -82,11 +81,13 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     pool: list[Worker] = []
     share = max(1, all_cores() // workers)
     left: list[str] = []
+    asked: set[Worker] = set()
 
-    def pass_on(number: int) -> None:
+    def pass_on() -> None:
         for worker in pool:
-            if worker.job is not None:
-                worker.signal(number)
+            if worker.job is not None and worker not in asked:
+                asked.add(worker)
+                worker.signal(signal.SIGTERM)
 
     def end(worker: Worker, job: Job, ended: Ended) -> None:
         one = running.pop(job)
@@ -113,13 +114,15 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     if retention is not None:
         retention.job_done(None, display.line)
     try:
-        with interrupts.leave_well(pass_on=partial(pass_on, signal.SIGTERM)), display.shown():
+        with interrupts.leave_well(pass_on), display.shown():
             while not queue.is_over:
                 if not interrupts.requested():
                     not_now = [job for job, when in held.items() if when > time.monotonic()]
                     _give_out(queue, pool, workers, share, common, running, logs, not_now)
                 elif not running:
                     break
+                else:
+                    pass_on()  # to a worker that was just being given a job when the signal came
                 display.refresh(running)
                 listen(pool, 0.2)
                 for worker in pool:

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 
 import cudc_bench
+from cudc_bench.cli import main
 from cudc_bench.data.staging import staging
 from cudc_bench.errors import HeldError, RunError, UsageError
 from cudc_bench.files import lives
@@ -26,7 +27,9 @@ from cudc_bench.ids import dataset_path, parse_id
 from cudc_bench.manifest import exists, read_manifest
 from cudc_bench.records import Record, read_record, write_record
 from cudc_bench.suites.api import prepare
-from cudc_bench.suites.work import Common, check_same, is_ours, remove
+from cudc_bench.suites.definition import load_suite
+from cudc_bench.suites.jobs import expand
+from cudc_bench.suites.work import Common, check_same, do, is_ours, remove
 
 TINY = """
 methods = ["random"]
@@ -55,17 +58,17 @@ def records(folder: Path) -> dict[str, Any]:
     return found
 
 
-def everything(folder: Path) -> dict[str, int]:
-    return {str(path): path.lstat().st_mtime_ns for path in folder.rglob("*")}
-
-
-def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_papers_main_study_at_the_smoke_profile(
+    cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All methods and domains, one task each and one seed; two at a time."""
     command = ["run", "main", "--profile", "smoke", "--seeds", "1", "--tasks", "stand,reach_top_left"]
-    before = everything(tmp_path)
-    dry = cli(*command, "--dry-run")
-    assert (dry.code, dry.err) == (0, "")
-    assert everything(tmp_path) == before
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--dry-run"])
+    dry = capsys.readouterr()
+    assert (ended.value.code, dry.err) == (0, "")
+    assert list(tmp_path.iterdir()) == []
     assert not datasets.exists()
     assert "54 jobs to do, 0 done" in dry.out
     assert re.search(r"time: about \d:\d\d:\d\d with \d+ at a time \(measured on ", dry.out)
@@ -87,7 +90,6 @@ def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Pat
     plain, ours = records(tmp_path / "plain")[name], found[name]
     assert plain == ours
 
-    monkeypatch.chdir(tmp_path)
     again = prepare("main", profile="smoke", seeds=[1], tasks=["stand", "reach_top_left"])
     assert not again.queue().plan.needs
     # Ten records of seeds 1 to 5 and two domains, of which two are there, and the eight datasets of seeds 2 to 5, labelled.
@@ -139,8 +141,11 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert list((tmp_path / "report").rglob("table.md"))
 
     # Another algorithm needs the dataset again: it is the same, and nothing that was recorded is made again.
-    done = cli("run", "my.toml", "--methods", "random", "--algos", "bc,td3-bc", "--workers", "1", env={"PYTHONPATH": str(package.parent)})
-    assert done.code == 0, done.err
+    suite.write_text(TINY)
+    again = cudc_bench.run_suite(
+        str(suite), algos=["bc", "td3-bc"], workers=1, output=tmp_path / "results", report=tmp_path / "report"
+    )  # fmt: skip
+    assert (again.jobs, again.kept, again.failed) == (4, 1, [])
     second = records(tmp_path / "results")
     name = "smoke/jaco/reach_top_left/random-v0/td3-bc-seed1.json"
     assert set(second) == {*first, name}
@@ -223,17 +228,34 @@ def test_what_stands_in_the_way_is_refused_before_any_work(datasets: Path, tmp_p
     assert not (output / ".suite").exists()
 
 
+def test_a_stack_of_seeds_makes_the_same_records(datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU, where one job has them all."""
+    suite = replace(load_suite(str(write(tmp_path, TINY))), seeds=(1, 2))
+    found = {}
+    for stacked in (False, True):
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(datasets / str(stacked)))
+        ready = prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report")
+        for job in expand(suite, {("jaco", "random"): 1000}, stacked=stacked).needs:
+            do(job, ready.common, lambda done, total: None)
+        found[stacked] = records(tmp_path / str(stacked))
+        assert not prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report").queue().plan.needs
+    assert len(found[True]) == 2
+    assert found[True] == found[False]
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "my.toml"
+    path.write_text(text)
+    return path
+
+
 @pytest.fixture
 def collected(datasets: Path, tmp_path: Path) -> tuple[Common, Record, Path]:
     """A dataset that a suite made, labelled, with a record of it."""
-    from cudc_bench.suites.jobs import Job
-    from cudc_bench.suites.work import do
-
     (tmp_path / "my.toml").write_text(TINY)
     ready = prepare(str(tmp_path / "my.toml"), output=tmp_path / "results", report=tmp_path / "report")
     for kind in ("collect", "relabel", "evaluate"):
-        (job,) = ready.found.plan.of(kind)  # type: ignore[arg-type]
-        assert isinstance(job, Job)
+        (job,) = ready.found.plan.of(kind)
         do(job, ready.common, lambda done, total: None)
     (path,) = (tmp_path / "results" / "smoke").rglob("*.json")
     return ready.common, read_record(path), path
