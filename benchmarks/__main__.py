@@ -17,7 +17,7 @@ from cudc_bench.parallel import cores
 from cudc_bench.provenance import commit, processor, versions
 
 NAMES = ("environment", "relabel", "updates", "learners", "precision", "shares", "growth", "whole", "cuda", "protocol", "checkpoints",
-         "sampler", "datasets", "memory", "leaderboard")  # fmt: skip
+         "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip
 
 
 def main() -> None:

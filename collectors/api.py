@@ -14,7 +14,7 @@ import torch
 from cudc_bench import plugins
 from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.config import config_hash
-from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
+from cudc_bench.data.staging import checkpoints_path, is_untidy, publish, staging, tidy
 from cudc_bench.data.writer import write_episodes, write_metadata
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import RunError, UsageError
@@ -157,7 +157,7 @@ def plan_collect(
             except UsageError as error:
                 there = str(error).partition("; ")[0]
                 raise UsageError(f"{there} in {datasets_root()} and is of another run; take another root (MINARI_DATASETS_PATH).") from None
-        found.append(Planned(str(one), seed, setting.loop.steps, done, setting.overrides, pilot))
+        found.append(Planned(str(one), seed, setting.loop.steps, done and not is_untidy(one), setting.overrides, pilot))
     return found
 
 

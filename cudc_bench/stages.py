@@ -28,7 +28,7 @@ class Planned:
         place: the dataset's id, or the record's path.
         seed: its member's.
         total: environment or gradient steps of the work.
-        done: whether it exists and is of this very run, so that the stage would keep it.
+        done: whether it exists and is of this very run, so that the stage would keep it, with nothing beside it that is left to tidy up.
         overrides: hyperparameters that differ from the profile.
         needs_pilot: whether a threshold must be measured first; ``done`` is not known before.
     """

@@ -470,7 +470,9 @@ def plan_evaluate(
             one = default_id(domain, method, seed).for_task(task)
             path = record_path(results, str(one), algo, seed, chosen.name, used)
             if exists(one):
-                done = _done(Run(plan, str(one), read_manifest(one), used, path))
+                run = Run(plan, str(one), read_manifest(one), used, path)
+                # What a process left that was killed just after it had written the record is removed by whoever keeps that.
+                done = _done(run) and not _lock(run, results).exists() and not _checkpoints([run], results, "cpu").folder.exists()
             else:
                 made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
                 done = _is_recorded(path, plan, used, partial(_is_of, made))

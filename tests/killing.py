@@ -106,12 +106,16 @@ class Killer:
         # Whatever happened, nothing half-written can be seen.
         for one in minari.list_local_datasets():
             verify_fingerprint(one)
-        if os.WIFSIGNALED(status):
+        if os.WIFSIGNALED(status) or self._lost_a_worker():
             self.killed[moment] += 1
             self.resumed += any(self.folder.rglob("*.pt"))
         else:  # it was faster
             assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()
             self.check()
+
+    def _lost_a_worker(self) -> bool:
+        """Whether a process of a suite's was killed, and not the one that was started: that one says so, and goes on with the rest."""
+        return "its process died (SIGKILL" in (self.folder / "said").read_text()
 
     def check(self) -> None:
         """Let the run end, compare it with the uninterrupted one, and start a new one."""

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=60000", "--checkpoint-every", "0"]
 
 
-@pytest.mark.parametrize(("what", "kills"), [("collect", 20), ("evaluate", 10), ("relabel", 8), ("pilot", 8), ("suite", 6)])
+@pytest.mark.parametrize(("what", "kills"), [("collect", 20), ("evaluate", 10), ("relabel", 8), ("pilot", 8), ("suite", 4)])
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(what: str, kills: int, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.killing", what, str(kills)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=600)

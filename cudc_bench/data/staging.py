@@ -103,10 +103,15 @@ def unfinished(root: Path | None = None) -> list[tuple[DatasetId, str | None]]:
 
 def tidy(dataset_id: DatasetId, root: Path | None = None) -> None:
     """Remove what a process left that was killed just after it had published a dataset; nothing if somebody is writing it again."""
-    final = dataset_path(dataset_id, root)
-    if any(path.exists() for path in (building_path(dataset_id, root), _replaced(final), _lock(final))):
+    if is_untidy(dataset_id, root):
         with suppress(RunError), staging(dataset_id, root):
-            shutil.rmtree(_replaced(final), ignore_errors=True)
+            shutil.rmtree(_replaced(dataset_path(dataset_id, root)), ignore_errors=True)
+
+
+def is_untidy(dataset_id: DatasetId, root: Path | None = None) -> bool:
+    """Whether anything lies beside a dataset that a process left, or needs that is writing it again."""
+    final = dataset_path(dataset_id, root)
+    return any(path.exists() for path in (building_path(dataset_id, root), _replaced(final), _lock(final)))
 
 
 def _lock(final: Path) -> Path:

@@ -60,7 +60,7 @@ class SuiteReport:
 
     Attributes:
         jobs: how many it has; ``kept`` of them were done before.
-        failed: one line for each job that failed, or could not start for it.
+        failed: one line for each job that failed, and one for those that could not start for it; ``lacking`` are not done in all.
         removed: ids of datasets that were removed again.
         leaderboard: what ``make_leaderboard`` returned; None if there is nothing to compare.
     """
@@ -68,6 +68,7 @@ class SuiteReport:
     jobs: int
     kept: int
     failed: list[str]
+    lacking: int = 0
     removed: list[str] = field(default_factory=list)
     leaderboard: Any = None
 
@@ -182,7 +183,7 @@ def run_prepared(ready: Prepared, keep: str = "datasets", cluster: Cluster | Non
             failed.append(f"{failure.job.name}: {failure.why} See {log}")
     if skipped := len(failures) - len(failed):
         failed.append(f"{skipped} jobs that need these could not start")
-    return SuiteReport(jobs, jobs - left, failed, removed, _leaderboard(ready))
+    return SuiteReport(jobs, jobs - left, failed, len(failures), removed, _leaderboard(ready))
 
 
 def _leaderboard(ready: Prepared) -> Any:

@@ -73,7 +73,7 @@ def run(
     if found.failed:
         for line in found.failed:
             say(f"failed: {line}")
-        raise RunError(f"{len(found.failed)} jobs failed, see above; the same command tries them again.")
+        raise RunError(f"{found.lacking} of {found.jobs} jobs are not done, see above; the same command tries them again.")
     say(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
 
 

@@ -111,6 +111,8 @@ class Worker:
 
     def close(self) -> None:
         """Let it go when its job has ended."""
+        with suppress(OSError):
+            self._mine.send(None)
         self._mine.close()
         self._process.join()
 
@@ -168,9 +170,12 @@ def _serve(pipe: Connection, cores: int, common: Common) -> None:
     leave_with_parent(lambda: _busy)
     while True:
         try:
-            job, log = pipe.recv()
+            given = pipe.recv()
         except (EOFError, OSError):
             return
+        if given is None:
+            return
+        job, log = given
         _busy = job.kind != "stats"
         try:
             ended = _attempt(job, log, common, pipe)
@@ -194,29 +199,29 @@ def _attempt(job: Job, log: Path, common: Common, pipe: Connection) -> Ended:
 
     try:
         with into(log):
-            print(f"# {datetime.now(UTC).isoformat(timespec='seconds')}, process {os.getpid()}: {job.name}", file=sys.stderr, flush=True)
             return attempt(job, common, tell)
     except OSError as error:
         return Ended("failed", f"its log {log} cannot be written: {error.strerror or error}")
 
 
 def attempt(job: Job, common: Common, tell: Any) -> Ended:
-    """Do a job in this process, and say how it went; what went wrong is on standard error, too."""
+    """Do a job in this process, and say how it went; standard error has when, for how long, and in its last line what went wrong."""
+    print(f"# {datetime.now(UTC).isoformat(timespec='milliseconds')}, process {os.getpid()}: {job.name}", file=sys.stderr, flush=True)
+    started = time.monotonic()
     try:
         do(job, common, tell)
-        return Ended("done")
+        ended = Ended("done")
     except interrupts.Interrupted as error:
-        ended = Ended("left", error.where)
+        ended = Ended("left", visible(error.where))
     except HeldError as error:
-        ended = Ended("held", str(error))
+        ended = Ended("held", visible(str(error)))
     except CudcBenchError as error:
-        ended = Ended("failed", str(error))
+        ended = Ended("failed", visible(str(error)))
     except BaseException as error:
         traceback.print_exc()
-        ended = Ended("failed", f"{type(error).__name__}: {error}")
-    why = visible(ended.why)
-    print(why, file=sys.stderr, flush=True)
-    return Ended(ended.how, why)
+        ended = Ended("failed", visible(f"{type(error).__name__}: {error}"))
+    print(f"# {ended.how} after {time.monotonic() - started:.3f} s", *filter(None, [ended.why]), sep="\n", file=sys.stderr, flush=True)
+    return ended
 
 
 @contextmanager

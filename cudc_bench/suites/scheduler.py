@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 from cudc_bench import interrupts
@@ -17,7 +16,7 @@ from .display import Display, Running, duration, size
 from .jobs import Job, Plan
 from .pool import Ended, Progress, Worker, listen
 from .queue import Failure, Queue
-from .work import Common, remove
+from .work import Common, finish_removal, made_by, remove
 
 _AGAIN = 1.0  # seconds after which a job is tried again that somebody else kept from starting
 
@@ -33,12 +32,16 @@ class Retention:
 
     def __init__(self, plan: Plan, left: Plan, common: Common) -> None:
         self._users = {one: users & left.needs.keys() for one, users in plan.users().items()}
+        self._all = [one for job in plan.of("collect", "relabel") for one in made_by(job)]
         self._common = common
         self.removed: list[str] = []
         self.size = 0
 
     def job_done(self, job: Job | None, tell: Callable[[str], None]) -> None:
-        """Remove what only this job still needed; with None, what nothing needs from the start."""
+        """Remove what only this job still needed; with None, what nothing needs from the start, and what a killed process left."""
+        if job is None:
+            for one in self._all:
+                finish_removal(one)
         for base in list(self._users) if job is None else job.datasets:
             users = self._users.get(base)
             if users is None:
@@ -78,11 +81,13 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     pool: list[Worker] = []
     share = max(1, all_cores() // workers)
     left: list[str] = []
+    asked: set[Worker] = set()
 
-    def pass_on(number: int) -> None:
+    def pass_on() -> None:
         for worker in pool:
-            if worker.job is not None:
-                worker.signal(number)
+            if worker.job is not None and worker not in asked:
+                asked.add(worker)
+                worker.signal(signal.SIGTERM)
 
     def end(worker: Worker, job: Job, ended: Ended) -> None:
         one = running.pop(job)
@@ -109,13 +114,15 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     if retention is not None:
         retention.job_done(None, display.line)
     try:
-        with interrupts.leave_well(pass_on=partial(pass_on, signal.SIGTERM)), display.shown():
+        with interrupts.leave_well(pass_on), display.shown():
             while not queue.is_over:
                 if not interrupts.requested():
                     not_now = [job for job, when in held.items() if when > time.monotonic()]
                     _give_out(queue, pool, workers, share, common, running, logs, not_now)
                 elif not running:
                     break
+                else:
+                    pass_on()  # to a worker that was just being given a job when the signal came
                 display.refresh(running)
                 listen(pool, 0.2)
                 for worker in pool:

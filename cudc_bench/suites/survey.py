@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cudc_bench import plugins
+from cudc_bench.data.staging import is_untidy
 from cudc_bench.errors import UsageError
 from cudc_bench.manifest import exists
 from cudc_bench.stages import Planned, check_relabelled
@@ -56,7 +57,8 @@ def survey(suite: Suite, common: Common) -> Survey:
         if job.kind == "collect":
             is_done = has_datasets
         elif job.kind == "relabel":
-            is_done = has_datasets and all(exists(one) for base in job.datasets for one in check_relabelled(base, job.tasks).values())
+            labelled = [one for base in job.datasets for one in check_relabelled(base, job.tasks).values()] if has_datasets else []
+            is_done = has_datasets and all(exists(one) and not is_untidy(one) for one in labelled)
         elif job.kind == "evaluate":
             records = plan_evaluate(
                 job.algo, job.domain, job.tasks, job.method, job.seeds, profile=common.profile, settings=common.evaluate, used=job.used,

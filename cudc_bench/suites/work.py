@@ -16,7 +16,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cudc_bench import plugins
-from cudc_bench.data.staging import staging
+from cudc_bench.data.staging import building_path, staging, tidy
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
@@ -29,6 +29,7 @@ from cudc_bench.stages import ensure_relabelled
 from .jobs import Job
 
 FOLDER = ".suite"
+_REMOVED = "removed"
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def do(job: Job, common: Common, listener: Listener) -> None:
         worked = True
         listener(done, total)
 
-    missing = [one for one in _made_by(job) if not exists(one)]
+    missing = [one for one in made_by(job) if not exists(one)]
     with told(hear):
         _DOING[job.kind](job, common)
     # Otherwise another process made them while this one was starting, and they are not ours.
@@ -86,7 +87,8 @@ def do(job: Job, common: Common, listener: Listener) -> None:
             _note(common, one)
 
 
-def _made_by(job: Job) -> list[str]:
+def made_by(job: Job) -> list[str]:
+    """The datasets that a job makes."""
     if job.kind == "collect":
         return list(job.datasets)
     return [str(parse_id(base).for_task(task)) for base in job.datasets for task in job.tasks] if job.kind == "relabel" else []
@@ -108,7 +110,8 @@ def _collect(job: Job, common: Common) -> None:
 
 def _relabel(job: Job, common: Common) -> None:
     for base in job.datasets:
-        ensure_relabelled(base, job.tasks)
+        for one in ensure_relabelled(base, job.tasks):
+            tidy(parse_id(one))
 
 
 def _evaluate(job: Job, common: Common) -> None:
@@ -238,8 +241,15 @@ def remove(common: Common, dataset_id: str) -> tuple[list[str], int]:
         place = dataset_path(one)
         size += sum(file.stat().st_size for file in place.rglob("*") if file.is_file())
         with staging(parse_id(one)) as folder:
-            place.rename(folder / "dataset")  # out of sight at once; what a kill leaves of it, the next that builds it clears away
+            place.rename(folder / _REMOVED)  # out of sight at once
     return all_of_it, size
+
+
+def finish_removal(dataset_id: str) -> None:
+    """Remove what a process left that was killed while it removed a dataset."""
+    if (building_path(parse_id(dataset_id)) / _REMOVED).exists():
+        with suppress(RunError), staging(parse_id(dataset_id)):
+            pass
 
 
 def _write(path: Path, content: str) -> None:

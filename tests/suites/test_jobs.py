@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from cudc_bench.errors import UsageError
 from cudc_bench.suites.definition import Study, Suite, load_suite, narrow, suite_names
+from cudc_bench.suites.estimate import Estimates, Rates, from_table
 from cudc_bench.suites.jobs import Job, Plan, expand
 from cudc_bench.suites.queue import Queue
 
@@ -226,3 +228,35 @@ def test_any_order_of_ends_does_every_job_once(data: st.DataObject) -> None:
         queue.succeed(job)
         ended.append(job)
     assert sorted(job.name for job in ended) == sorted(job.name for job in found.needs)
+
+
+# ------------------------------------------------------------------------------------------------------------------------- estimates
+
+
+def test_estimates_are_from_what_is_most_like_the_job() -> None:
+    here, table = Rates("measured here"), Rates("table")
+    here.add("collect", "walker", "random", seconds=10.0, units=1000)
+    here.add("collect", "walker", "random", seconds=30.0, units=1000)
+    table.add("collect", "jaco", "cudc", 5.0, 1000)
+    table.add("evaluate", "walker", "td3", 3.0, 1000)
+    found = Estimates({A: 2000, B: 2000, A1: 500, B1: 500}, (here, table))
+    assert found.seconds(A) == pytest.approx(2000 * 0.02)
+    # Another collector on the same domain, measured here, is nearer than the same one on another machine.
+    assert (found.seconds(B), found.source(B)) == (pytest.approx(40.0), "measured here")
+    assert Estimates({B: 2000}, (table,)).seconds(B) == pytest.approx(10.0)
+    assert (found.seconds(A1), found.source(A1)) == (pytest.approx(1.5), "table")
+    # Offline algorithms are not alike: nobody knows.
+    other = Job("evaluate", "walker", ("cudc",), (1,), ("walk",), "cql")
+    assert Estimates({other: 500}, (here, table)).seconds(other) is None
+    # 24 observations and 6 actions as float32, 18 numbers of physics as float64, rewards and two flags.
+    assert found.size(A) == 2000 * (30 * 4 + 18 * 8 + 4 + 2)
+
+
+def test_the_table_of_the_package_has_the_small_profiles() -> None:
+    for profile in ("cpu", "demo", "smoke"):
+        rates = from_table(profile, "cpu")
+        assert re.fullmatch(r"measured on .+, \d{4}-\d\d-\d\d", rates.source)
+        for domain in ("walker", "quadruped", "jaco"):
+            assert 0 < (rates.of("collect", domain, "cudc") or 0) < 0.01
+            assert 0 < (rates.of("evaluate", domain, "td3") or 0) < 0.1
+    assert from_table("cpu", "cuda").of("collect", "walker", "cudc") is None

@@ -10,14 +10,18 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import cudc_bench
+from cudc_bench import plugins
+from cudc_bench.cli import main
 from cudc_bench.data.staging import staging
 from cudc_bench.errors import HeldError, RunError, UsageError
 from cudc_bench.files import lives
@@ -25,7 +29,9 @@ from cudc_bench.ids import dataset_path, parse_id
 from cudc_bench.manifest import exists, read_manifest
 from cudc_bench.records import Record, read_record, write_record
 from cudc_bench.suites.api import prepare
-from cudc_bench.suites.work import Common, check_same, is_ours, remove
+from cudc_bench.suites.definition import load_suite
+from cudc_bench.suites.jobs import expand
+from cudc_bench.suites.work import Common, check_same, do, is_ours, remove
 
 TINY = """
 methods = ["random"]
@@ -54,17 +60,17 @@ def records(folder: Path) -> dict[str, Any]:
     return found
 
 
-def everything(folder: Path) -> dict[str, int]:
-    return {str(path): path.lstat().st_mtime_ns for path in folder.rglob("*")}
-
-
-def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Path, tmp_path: Path) -> None:
+def test_the_papers_main_study_at_the_smoke_profile(
+    cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All methods and domains, one task each and one seed; two at a time."""
     command = ["run", "main", "--profile", "smoke", "--seeds", "1", "--tasks", "stand,reach_top_left"]
-    before = everything(tmp_path)
-    dry = cli(*command, "--dry-run")
-    assert (dry.code, dry.err) == (0, "")
-    assert everything(tmp_path) == before
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--dry-run"])
+    dry = capsys.readouterr()
+    assert (ended.value.code, dry.err) == (0, "")
+    assert list(tmp_path.iterdir()) == []
     assert not datasets.exists()
     assert "54 jobs to do, 0 done" in dry.out
     assert re.search(r"time: about \d:\d\d:\d\d with \d+ at a time \(measured on ", dry.out)
@@ -86,12 +92,12 @@ def test_the_papers_main_study_at_the_smoke_profile(cli: Callable, datasets: Pat
     plain, ours = records(tmp_path / "plain")[name], found[name]
     assert plain == ours
 
-    again = cli(*command, "--dry-run")
-    assert "0 jobs to do, 54 done" in again.out
-    narrower = cli("run", "main", "--profile", "smoke", "--methods", "cudc", "--tasks", "stand", "--dry-run")
-    assert "measured here" in narrower.out
-    # Ten records of seeds 1 to 5 and two domains, of which two are there, and the eight datasets of seeds 2 to 5.
-    assert "24 jobs to do, 6 done" in narrower.out
+    again = prepare("main", profile="smoke", seeds=[1], tasks=["stand", "reach_top_left"])
+    assert not again.queue().plan.needs
+    # Ten records of seeds 1 to 5 and two domains, of which two are there, and the eight datasets of seeds 2 to 5, labelled.
+    wider = prepare("main", profile="smoke", methods=["cudc"], tasks=["stand"])
+    assert Counter(job.kind for job in wider.queue().plan.needs) == {"collect": 8, "relabel": 8, "evaluate": 8}
+    assert {wider.estimates.source(job) for job in wider.queue().plan.of("collect", "evaluate")} == {"measured here"}
 
 
 BROKEN = """
@@ -106,7 +112,7 @@ class Broken(Random):
 
 
 def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_are_written(
-    cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     package = tmp_path / "package" / "broken-1.0.dist-info"
     package.mkdir(parents=True)
@@ -117,13 +123,20 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     suite.write_text(TINY.replace('["random"]', '["broken", "random", "proto"]'))
     # A dataset of somebody's own stays, whatever becomes of the others; so does what is labelled from it.
     cudc_bench.collect("proto", "jaco", profile="smoke", settings={"steps": 1000})
-    done = cli("run", "my.toml", "--keep", "records", "--workers", "1", env={"PYTHONPATH": str(package.parent)})
-    assert done.code == 1, done.err
+    # Entry points are looked up once in a process; workers get its path.
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setattr(plugins, "_points", cache(plugins._points.__wrapped__))
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "my.toml", "--keep", "records", "--workers", "1"])
+    err = capsys.readouterr().err
+    assert ended.value.code == 1, err
     log = "results/.suite/logs/collect-jaco-broken-seed-1.log"
-    assert f"failed: collect jaco broken seed 1: ValueError: a bug of somebody's own See {log}" in " ".join(done.err.split())
-    assert "2 jobs that need these could not start" in done.err
-    assert done.err.splitlines()[-1].startswith("cudc-bench: error: 2 jobs failed")
-    assert "Traceback" not in done.err
+    assert f"failed: collect jaco broken seed 1: ValueError: a bug of somebody's own See {log}" in " ".join(err.split())
+    assert "2 jobs that need these could not start" in err
+    assert err.splitlines()[-1] == "cudc-bench: error: 3 of 9 jobs are not done, see above; the same command tries them again."
+    assert "Traceback" not in err
     said = (tmp_path / log).read_text()
     assert "Traceback" in said
     assert said.splitlines()[-1] == "ValueError: a bug of somebody's own"
@@ -133,12 +146,15 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert not exists("jaco/reach_top_left/random-v0")
     assert exists("jaco/proto-v0")
     assert exists("jaco/reach_top_left/proto-v0")
-    assert "removed jaco/random-v0 and 1 labelled from it" in done.err
+    assert "removed jaco/random-v0 and 1 labelled from it" in err
     assert list((tmp_path / "report").rglob("table.md"))
 
     # Another algorithm needs the dataset again: it is the same, and nothing that was recorded is made again.
-    done = cli("run", "my.toml", "--methods", "random", "--algos", "bc,td3-bc", "--workers", "1")
-    assert done.code == 0, done.err
+    suite.write_text(TINY)
+    again = cudc_bench.run_suite(
+        str(suite), algos=["bc", "td3-bc"], workers=1, output=tmp_path / "results", report=tmp_path / "report"
+    )  # fmt: skip
+    assert (again.jobs, again.kept, again.failed) == (4, 1, [])
     second = records(tmp_path / "results")
     name = "smoke/jaco/reach_top_left/random-v0/td3-bc-seed1.json"
     assert set(second) == {*first, name}
@@ -221,17 +237,34 @@ def test_what_stands_in_the_way_is_refused_before_any_work(datasets: Path, tmp_p
     assert not (output / ".suite").exists()
 
 
+def test_a_stack_of_seeds_makes_the_same_records(datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU, where one job has them all."""
+    suite = replace(load_suite(str(write(tmp_path, TINY))), seeds=(1, 2))
+    found = {}
+    for stacked in (False, True):
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(datasets / str(stacked)))
+        ready = prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report")
+        for job in expand(suite, {("jaco", "random"): 1000}, stacked=stacked).needs:
+            do(job, ready.common, lambda done, total: None)
+        found[stacked] = records(tmp_path / str(stacked))
+        assert not prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report").queue().plan.needs
+    assert len(found[True]) == 2
+    assert found[True] == found[False]
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "my.toml"
+    path.write_text(text)
+    return path
+
+
 @pytest.fixture
 def collected(datasets: Path, tmp_path: Path) -> tuple[Common, Record, Path]:
     """A dataset that a suite made, labelled, with a record of it."""
-    from cudc_bench.suites.jobs import Job
-    from cudc_bench.suites.work import do
-
     (tmp_path / "my.toml").write_text(TINY)
     ready = prepare(str(tmp_path / "my.toml"), output=tmp_path / "results", report=tmp_path / "report")
     for kind in ("collect", "relabel", "evaluate"):
-        (job,) = ready.found.plan.of(kind)  # type: ignore[arg-type]
-        assert isinstance(job, Job)
+        (job,) = ready.found.plan.of(kind)
         do(job, ready.common, lambda done, total: None)
     (path,) = (tmp_path / "results" / "smoke").rglob("*.json")
     return ready.common, read_record(path), path
