@@ -46,7 +46,7 @@ class Boards(Studies):
         first = boards[0]
         self.look(first)
         tables = self.site.tables
-        records = [record for table in tables for record in table.records]
+        records = [record for table in self.site.every_table for record in table.records]
         facts = [
             span([len(records)], "run"), span([len(self.site.methods)], "method"), span([len({t.domain for t in tables})], "domain"),
             span([len({(t.domain, task) for t in tables for task in t.tasks})], "task"), span([len(self.site.datasets)], "dataset"),

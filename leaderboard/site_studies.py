@@ -9,6 +9,7 @@ from cudc_bench.records import Record
 from . import grid as study_grid
 from .grid_files import text
 from .load import column
+from .plans import canonical
 from .site_models import Exhibit, Figure, Grid, Heading, Item, Line, Page
 from .site_parts import Board, Parts, method_path, runs_path, study_path
 from .study import Study
@@ -33,7 +34,7 @@ class Studies(Parts):
     def study_pages(self) -> Iterable[Page]:
         """A page for each study."""
         for study in self.site.studies:
-            grids = [self._exhibit(study, one) for one in study.tables]
+            grids = [self._exhibit(one) for one in study.tables]
             figures = tuple(
                 Figure(f"{study.folder}/{study.name}-{name}.svg", f"Figure of the study: {name.replace('-', ' ')}.")
                 for name in study.figures
@@ -53,27 +54,30 @@ class Studies(Parts):
             badges = ("Preliminary: fewer than five seeds",) if few else ()
             yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(exhibits))
 
-    def _exhibit(self, study: Study, table: study_grid.Grid) -> Exhibit:
+    def _exhibit(self, table: study_grid.Grid) -> Exhibit:
         grids = []
         for part in table.parts:
             milestone = part.key if table.split == "milestone" and isinstance(part.key, int) else None
             lines = []
             for line in part.lines:
-                head = self._label(line.labels[0])
-                items = [self._item(study, entry, one, milestone) for one, entry in zip(table.columns, line.entries, strict=True)]
-                lines.append(Line(head, (*map(Item, line.labels[1:]), *items)))
+                items = [self._item(entry, one, line.labels, milestone) for one, entry in zip(table.columns, line.entries, strict=True)]
+                head, *further = map(self._label, line.labels)
+                lines.append(Line(head, (*further, *items)))
             columns = (*(Heading(name, number=False) for name in table.head[1:]), *(Heading(one.name) for one in table.columns))
             grids.append(Grid(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
         return Exhibit(table.title, grids=tuple(grids), text=(table.caption,))
 
     def _label(self, label: str) -> Item:
-        return Item(label, link=method_path(label)) if label in self.site.methods else Item(label)
+        name = canonical(label)
+        return Item(label, link=method_path(name)) if name in self.site.methods else Item(label)
 
-    def _item(self, study: Study, entry: study_grid.Entry | None, one: study_grid.Column, milestone: int | None) -> Item:
+    def _item(self, entry: study_grid.Entry | None, one: study_grid.Column, labels: Sequence[str], milestone: int | None) -> Item:
         if entry is None:
             return Item()
-        shown = text(entry, one, " ± ")
-        return Item(shown, entry.value, self._runs_behind(entry.records, milestone), entry.best)
+        # Of a share of CUDC's score the row's own runs.
+        names = set(map(canonical, labels))
+        records = [record for record in entry.records if column(record) in names] or entry.records
+        return Item(text(entry, one, " ± "), entry.value, self._runs_behind(records, milestone), entry.best)
 
     def _runs_behind(self, records: Sequence[Record], milestone: int | None) -> str | None:
         """The page of the runs, if one page has them all; else that of their method."""
