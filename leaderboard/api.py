@@ -33,9 +33,9 @@ from .render import (
     to_latex,
     to_markdown,
 )
-from .site import site_files
-from .site_datasets import datasets_of, find_local
-from .site_parts import Run, Site, run_of
+from .site.datasets import datasets_of, find_local
+from .site.pages import site_files
+from .site.parts import Run, Site, run_of
 from .studies import build_studies
 from .study import Study
 from .table import Table, build_blocks, tables_of

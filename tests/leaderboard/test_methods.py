@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from cudc_bench import plugins
-from cudc_bench.leaderboard import methods
-from cudc_bench.leaderboard.methods import describe
+from cudc_bench.leaderboard.site import methods
+from cudc_bench.leaderboard.site.methods import describe
 
 Install = Callable[[str, str], None]
 

@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from cudc_bench.leaderboard.missing import find_missing
 from cudc_bench.leaderboard.overall import build_overall
 from cudc_bench.leaderboard.published import reported
-from cudc_bench.leaderboard.site import site_files
-from cudc_bench.leaderboard.site_parts import Site, brief
+from cudc_bench.leaderboard.site.pages import site_files
+from cudc_bench.leaderboard.site.parts import Site, brief
 from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.table import build_blocks, tables_of
 from cudc_bench.records import Record

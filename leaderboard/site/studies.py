@@ -6,14 +6,14 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.records import Record
 
-from . import grid as study_grid
-from .grid_files import text
-from .load import column
-from .plans import canonical
-from .site_models import Exhibit, Figure, Grid, Heading, Item, Line, Page
-from .site_parts import Board, Parts, method_path, runs_path, study_path
-from .study import Study
-from .table import ENOUGH_SEEDS
+from .. import grid as study_grid
+from ..grid_files import text
+from ..load import column
+from ..plans import canonical
+from ..study import Study
+from ..table import ENOUGH_SEEDS
+from .models import Exhibit, Figure, Grid, Heading, Item, Line, Page
+from .parts import Board, Parts, method_path, runs_path, study_path
 
 
 class Studies(Parts):

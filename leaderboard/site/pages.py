@@ -21,13 +21,13 @@ from pathlib import Path
 
 from cudc_bench.markup import html_templates
 
-from .figures import looks
-from .load import short
-from .site_boards import Boards
-from .site_catalogue import Catalogue
-from .site_models import Page
-from .site_parts import Site, brief
-from .site_runs import Runs
+from ..figures import looks
+from ..load import short
+from .boards import Boards
+from .catalogue import Catalogue
+from .models import Page
+from .parts import Site, brief
+from .runs import Runs
 
 ASSETS = ("site.css", "site.js")
 
@@ -35,8 +35,8 @@ ASSETS = ("site.css", "site.js")
 def site_files(site: Site) -> dict[str, str | bytes]:
     """All files of the site by their path below the output folder."""
     here = Path(__file__).parent
-    template = html_templates(here / "templates").get_template("page.html.j2")
-    files: dict[str, str | bytes] = {f"site/{name}": (here / "assets" / name).read_bytes() for name in ASSETS}
+    template = html_templates(here).get_template("page.html.j2")
+    files: dict[str, str | bytes] = {f"site/{name}": (here / name).read_bytes() for name in ASSETS}
     for page in _Pages(site).every():
         if page.path in files:
             raise AssertionError(f"two pages want to be {page.path}")

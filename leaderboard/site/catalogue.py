@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from cudc_bench.data.card import facts_of
 from cudc_bench.markup import plain
 
-from .load import column, short
+from ..load import column, short
+from ..statistics import student
+from ..table import Table
+from .datasets import Dataset, Local
 from .methods import describe
-from .site_datasets import Dataset, Local
-from .site_models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
-from .site_parts import (
+from .models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
+from .parts import (
     Board,
     Parts,
     brief,
@@ -28,8 +30,6 @@ from .site_parts import (
     task_path,
     version,
 )
-from .statistics import student
-from .table import Table
 
 
 class Catalogue(Parts):

@@ -23,11 +23,11 @@ from cudc_bench.progress import bars
 from cudc_bench.provenance import command_line, is_own_command
 from cudc_bench.records import Record, settings_text
 
-from .diagnostics import Run, compare, diagnostics_path, read_diagnostics
-from .files import write_files
-from .load import column
-from .quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
-from .table import Table, file_word
+from ..diagnostics import Run, compare, diagnostics_path, read_diagnostics
+from ..files import write_files
+from ..load import column
+from ..quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
+from ..table import Table, file_word
 
 FOLDER = "datasets"  # in the output, of these pages and of what they show
 MEASURES = "measures.json"  # in that folder: what was measured, by fingerprint, so that it is measured once
@@ -301,9 +301,9 @@ def _quality(dataset_id: str, manifest: Manifest, old: _Measures) -> Quality | N
 
 
 def _draw(dataset_id: str, manifest: Manifest, quality: Quality | None) -> dict[str, bytes]:
-    from .diagnostic_figures import diagnostic_files
-    from .figures import figure_files
-    from .quality_files import draw_density
+    from ..diagnostic_figures import diagnostic_files
+    from ..figures import figure_files
+    from ..quality_files import draw_density
 
     files: dict[str, bytes] = {}
     if quality is not None and quality.rewards:

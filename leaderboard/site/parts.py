@@ -12,15 +12,15 @@ from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
-from .figures import looks
-from .load import column
-from .missing import Missing
-from .overall import Overall
-from .published import Beside, beside_paper
-from .site_datasets import Dataset, Local, datasets_of
-from .site_models import MISSING, Exhibit, Figure, Item, swatch
-from .study import Study
-from .table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered
+from ..figures import looks
+from ..load import column
+from ..missing import Missing
+from ..overall import Overall
+from ..published import Beside, beside_paper
+from ..study import Study
+from ..table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered
+from .datasets import Dataset, Local, datasets_of
+from .models import MISSING, Exhibit, Figure, Item, swatch
 
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
 _DASHES = {"-": "", "--": "5 2", "-.": "5 2 1.5 2", ":": "1.5 2"}

@@ -10,12 +10,14 @@ from math import ceil
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.records import Record
 
-from .load import short
-from .missing import Missing
-from .overall import PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
-from .published import Beside, beside_paper
-from .site_models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
-from .site_parts import (
+from ..load import short
+from ..missing import Missing
+from ..overall import PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..published import Beside, beside_paper
+from ..statistics import student
+from ..table import Cell, Row, Section, Table, seed_scores, span
+from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
+from .parts import (
     Board,
     brief,
     by_column,
@@ -31,9 +33,7 @@ from .site_parts import (
     task_path,
     version,
 )
-from .site_studies import Studies
-from .statistics import student
-from .table import Cell, Row, Section, Table, seed_scores, span
+from .studies import Studies
 
 _MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
 

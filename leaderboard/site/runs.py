@@ -6,9 +6,10 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.records import Record
 
-from .load import evaluation_at, short
-from .site_models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
-from .site_parts import (
+from ..load import evaluation_at, short
+from ..table import ENOUGH_SEEDS, Table, span
+from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
+from .parts import (
     Board,
     Parts,
     brief,
@@ -25,7 +26,6 @@ from .site_parts import (
     task_path,
     version,
 )
-from .table import ENOUGH_SEEDS, Table, span
 
 
 class Runs(Parts):
