@@ -73,7 +73,7 @@ def make_leaderboard(
     """Make tables, learning curves and a static site from run records.
 
     For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and ``.pdf``,
-    the curves of each task as ``task-<task>``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports,
+    the curves of each task as ``task-<task>.svg``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports,
     too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and
     its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``,
     ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in

@@ -60,14 +60,14 @@ def curve_files(table: Table) -> dict[str, bytes]:
 
 
 def task_files(runs: Runs) -> dict[str, bytes]:
-    """``task-<task>.svg`` and ``.pdf`` for each task that has records: its curves alone, larger."""
+    """``task-<task>.svg`` for each task that has records: its curves alone, larger, for the site; on paper there is ``curves.pdf``."""
     files: dict[str, bytes] = {}
     for task in runs.tasks:
-        files |= figure_files(f"task-{task}", lambda task=task: draw_task(runs, task))  # type: ignore[misc]
+        files |= figure_files(f"task-{task}", lambda task=task: draw_task(runs, task), ("svg",))  # type: ignore[misc]
     return files
 
 
-def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
+def figure_files(name: str, draw: Callable[[], Figure], kinds: Sequence[str] = ("svg", "pdf")) -> dict[str, bytes]:
     """``<name>.svg``, whose text stays text, and ``<name>.pdf`` of the figure that ``draw`` returns; neither holds a date."""
     from matplotlib import style
 
@@ -77,10 +77,8 @@ def figure_files(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
         # One layout for both; each would otherwise draw everything once more to find its own.
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        return {
-            f"{name}.svg": _saved(figure, "svg", {"Date": None}),
-            f"{name}.pdf": _saved(figure, "pdf", {"CreationDate": None}),
-        }
+        dates = {"svg": "Date", "pdf": "CreationDate"}
+        return {f"{name}.{kind}": _saved(figure, kind, {dates[kind]: None}) for kind in kinds}
 
 
 def draw_curves(runs: Runs) -> Figure:

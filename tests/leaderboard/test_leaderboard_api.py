@@ -13,7 +13,7 @@ from cudc_bench.leaderboard.command import leaderboard as command
 from cudc_bench.leaderboard.incremental import LEDGER
 
 FILES = {"table.md", "table.tex", "table.csv"}
-FILES |= {f"{name}.{kind}" for name in ("curves", "bars", "task-walk") for kind in ("svg", "pdf")}
+FILES |= {f"{name}.{kind}" for name in ("curves", "bars") for kind in ("svg", "pdf")} | {"task-walk.svg"}
 OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
 RANKS = {"ranks.svg", "ranks.pdf"}
 
