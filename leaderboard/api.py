@@ -72,13 +72,14 @@ def make_leaderboard(
 ) -> Report:
     """Make tables, learning curves and a static site from run records.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and ``.pdf``,
-    the curves of each task as ``task-<task>.svg``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the paper reports,
-    too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of its tables, and
-    its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``, ``overall.csv``,
-    ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by side are in
-    ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`). Each file is replaced whole.
-    The same records, and with ``datasets`` the same datasets, give the same bytes. What has not changed since the last build is left alone,
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and
+    ``.pdf``, the curves of each task as ``task-<task>.svg``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the
+    paper reports, too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of
+    its tables, and its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``,
+    ``overall.csv``, ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by
+    side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`). Each file is
+    replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes. What has not changed since the last
+    build is left alone,
     and what no record asks for any more is removed (see :mod:`.incremental`).
 
     Args:
