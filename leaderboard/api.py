@@ -79,8 +79,7 @@ def make_leaderboard(
     ``overall.csv``, ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by
     side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`). Each file is
     replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes. What has not changed since the last
-    build is left alone,
-    and what no record asks for any more is removed (see :mod:`.incremental`).
+    build is left alone, and what no record asks for any more is removed (see :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.
