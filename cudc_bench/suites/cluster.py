@@ -7,6 +7,8 @@ the last checkpoint; where each has its own, it starts over, with the same resul
 from __future__ import annotations
 
 import os
+import re
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +16,8 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
 
 from cudc_bench import interrupts
 from cudc_bench.config import config_hash
@@ -29,6 +33,8 @@ from .pool import Ended, attempt, into
 from .queue import Failure, Queue
 from .work import FOLDER, Common, note_path, remove
 
+_HOST = re.compile(r"([A-Za-z0-9._-]{1,253}):(\d{1,5})")
+_CONNECT = 10.0  # seconds
 _PATIENCE = 600.0  # seconds to wait for a lock: that of a node that was lost lives until its file server notices
 _LEAVING = 120.0  # seconds that tasks have to save what they have done
 _LOG = 20_000  # characters of a failed job's log that come back
@@ -82,9 +88,7 @@ def check_cluster(cluster: Cluster) -> None:
     """
     if find_spec("ray") is None:
         raise UsageError("--ray needs a package that is not installed; pip install 'cudc-bench[ray]', or leave out --ray.")
-    if not cluster.address or not cluster.address.isprintable():
-        raise UsageError(f"--ray cannot be '{cluster.address}'; give auto, local, or host:port.")
-    if cluster.address not in ("auto", "local") and ":" not in cluster.address:
+    if cluster.address not in ("auto", "local") and not _HOST.fullmatch(cluster.address):
         raise UsageError(f"--ray cannot be '{cluster.address}'; give auto, local, or host:port.")
     if cluster.cpus < 1:
         raise UsageError(f"--ray-cpus takes 1 or more, not {cluster.cpus}.")
@@ -109,8 +113,11 @@ def run_on_ray(
     ours = not ray.is_initialized()
     if ours:
         try:
+            if host := _HOST.fullmatch(cluster.address):
+                # Ray itself would try for two minutes.
+                socket.create_connection((host[1], int(host[2])), _CONNECT).close()
             ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
-        except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
+        except (OSError, OverflowError, ValueError, RuntimeError) as error:
             raise RunError(f"there is no Ray cluster at '{cluster.address}': {' '.join(str(error).split())}") from None
     try:
         return _drive(ray, queue, common, cluster, before, keep)
@@ -217,10 +224,12 @@ def _thresholds() -> bytes:
 
 
 def _put(path: Path, content: bytes) -> None:
-    if path.suffix == ".json" and FOLDER not in path.parts:
-        Record.model_validate_json(content)
     try:
+        if path.suffix == ".json" and FOLDER not in path.parts:
+            Record.model_validate_json(content)
         write_atomically(path, content)
+    except ValidationError as error:
+        raise RunError(f"a node sent what is no record for {path}: {error.errors()[0]['msg']}; install the same version there.") from None
     except OSError as error:
         raise unwritable(str(path), error) from None
 

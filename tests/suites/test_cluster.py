@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 import cudc_bench
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import RunError, UsageError
 
 from .test_run import TINY, records
 
@@ -88,9 +89,20 @@ def test_without_ray_its_options_are_refused(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed; pip install 'cudc-bench[ray]'")
+def test_a_cluster_that_is_not_there_is_named(tmp_path: Path, datasets: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"  # nobody listens there
+        (tmp_path / "my.toml").write_text(TINY)
+        with pytest.raises(RunError, match=f"there is no Ray cluster at '{address}': .*refused"):
+            cudc_bench.run_suite(str(tmp_path / "my.toml"), output=tmp_path / "results", ray=address)
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed; pip install 'cudc-bench[ray]'")
 @pytest.mark.parametrize(
     ("options", "says"),
     [
+        ({"ray": "ray://head:10001"}, "--ray cannot be 'ray://head:10001'; give auto, local, or host:port."),
         ({"ray": "somewhere"}, "--ray cannot be 'somewhere'; give auto, local, or host:port."),
         ({"ray": "auto", "ray_cpus": 0}, "--ray-cpus takes 1 or more, not 0."),
         ({"ray": "auto", "ray_gpus": -1.0}, "--ray-gpus takes 0, a fraction or a number of GPUs, not -1."),
