@@ -71,6 +71,17 @@ def use_cores(count: int) -> None:
     _share = count
 
 
+@contextmanager
+def only_cores(count: int) -> Iterator[None]:
+    """Within this context :func:`use_cores` holds."""
+    global _share
+    before, _share = _share, count
+    try:
+        yield
+    finally:
+        _share = before
+
+
 def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, workers: int, threads: int | None) -> list[Any]:
     """Run the jobs, at most ``workers`` at once, and return their results in order.
 

@@ -132,8 +132,8 @@ def _bring(output: Path, parts: Sequence[Part], ledger: Mapping[str, Any]) -> di
     return entries
 
 
-def computed(functions: Sequence[Callable[[], T]], description: str, unit: str) -> Iterator[T]:
-    """What some functions return, in their order; where there are more than a few, the cores share them.
+def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, few: int = _FEW) -> Iterator[T]:
+    """What some functions return, in their order; where there are more than a ``few``, the cores share them.
 
     The processes are forked: they have everything that this one has, so that functions may be closures and nothing is copied.
 
@@ -141,14 +141,14 @@ def computed(functions: Sequence[Callable[[], T]], description: str, unit: str) 
         RunError: a process was killed.
     """
     with bar_if_long(description, len(functions), unit) as advance:
-        for result in _forked(functions) if _can_fork(functions) else (function() for function in functions):
+        for result in _forked(functions) if len(functions) > few and _can_fork() else (function() for function in functions):
             yield result
             advance(1)
 
 
-def _can_fork(functions: Sequence[Any]) -> bool:
+def _can_fork() -> bool:
     # A lock that another thread holds at that moment would stay locked for ever in the new process.
-    return len(functions) > _FEW and cores() > 1 and threading.active_count() == 1 and parent_process() is None
+    return cores() > 1 and threading.active_count() == 1 and parent_process() is None
 
 
 _functions: Sequence[Callable[[], Any]] = ()

@@ -15,7 +15,7 @@ from cudc_bench.files import check_folder
 from cudc_bench.ids import datasets_root
 from cudc_bench.locks import locked
 from cudc_bench.options import CHECKPOINT_EVERY
-from cudc_bench.parallel import worker_count
+from cudc_bench.parallel import cores, only_cores, worker_count
 from cudc_bench.profiles import resolve_device, resolve_profile
 from cudc_bench.progress import say
 
@@ -191,7 +191,9 @@ def _leaderboard(ready: Prepared) -> Any:
     if not any(study.algos for study in ready.suite.studies):
         return None
     try:
-        return plugins.load("stages", "make_leaderboard")(common.output, common.report, profile=common.profile)
+        # Who asks for one worker has other work for the other cores.
+        with only_cores(ready.workers if common.device == "cpu" else cores()):
+            return plugins.load("stages", "make_leaderboard")(common.output, common.report, profile=common.profile)
     except UsageError:
         return None  # every training failed: there is no record
 

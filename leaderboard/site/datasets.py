@@ -7,6 +7,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,12 +20,12 @@ from cudc_bench.errors import CudcBenchError, UsageError
 from cudc_bench.ids import default_id, parse_id
 from cudc_bench.manifest import Manifest, exists, read_manifest
 from cudc_bench.markup import plain
-from cudc_bench.progress import bars
 from cudc_bench.provenance import command_line, is_own_command
 from cudc_bench.records import Record, settings_text
 
 from ..diagnostics import Run, compare, diagnostics_path, read_diagnostics
 from ..files import write_files
+from ..incremental import computed
 from ..load import column
 from ..quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
 from ..table import Table, file_word
@@ -193,15 +194,13 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     kept = _read(folder / MEASURES)
     fresh = {one: kept[manifest.fingerprint] for _, one, manifest in present if _is_fresh(kept.get(manifest.fingerprint), one)}
     todo = list({one: manifest for _, one, manifest in present if one not in fresh}.items())
-    measured: dict[str, tuple[Quality | None, str]] = {}
-    with bars([(f"measuring {one}", manifest.steps) for one, manifest in todo], "states") as advances:
-        for (one, manifest), advance in zip(todo, advances, strict=True):
-            try:
-                has_states = "infos/physics" in manifest.fields
-                quality = measure(one, manifest, check_domain(manifest.domain), advance)[0] if has_states else None
-                measured[one] = quality, _digest(one)
-            except CudcBenchError as error:
-                remarks.append(plain(str(error)))
+    measured: dict[str, tuple[Quality | None, dict[str, bytes]]] = {}
+    looks = [partial(_look, one, manifest) for one, manifest in todo]
+    for (one, _), result in zip(todo, computed(looks, "measuring datasets", "datasets", few=1), strict=True):
+        if isinstance(result, str):
+            remarks.append(result)
+        else:
+            measured[one] = result
     locals_: dict[str, Local] = {}
     for dataset, one, manifest in present:
         if one in fresh:
@@ -212,8 +211,7 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
             if len(whole) < len(figures):
                 whole = _draw(one, manifest, quality)
         elif one in measured:
-            quality = measured[one][0]
-            whole = _draw(one, manifest, quality)
+            quality, whole = measured[one]
         else:
             continue
         locals_[dataset.word] = Local(one, manifest, quality, whole)
@@ -221,6 +219,16 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     text = _Kept(measures=dict(sorted(kept.items()))).model_dump_json(indent=1)
     write_files(folder, {MEASURES: f"{text}\n"})
     return locals_, remarks
+
+
+def _look(one: str, manifest: Manifest) -> tuple[Quality | None, dict[str, bytes]] | str:
+    """A dataset's measures and figures, or why it has none."""
+    try:
+        has_states = "infos/physics" in manifest.fields
+        quality = measure(one, manifest, check_domain(manifest.domain), lambda states: None)[0] if has_states else None
+        return quality, dict(_draw(one, manifest, quality))
+    except CudcBenchError as error:
+        return plain(str(error))
 
 
 def _present(dataset: Dataset) -> tuple[str, Manifest] | None:
