@@ -141,7 +141,7 @@ def test_every_algorithm_and_every_task(datasets, tmp_path, domain, tasks, algos
     assert all(np.isfinite(record.final.returns).all() for record in records)
     report = cudc_bench.make_leaderboard(results(tmp_path), None)
     assert [table.algorithm for table in report.tables] == list(algos)
-    assert all({task for _, task, _ in table.cells} == set(tasks) for table in report.tables)
+    assert all({task for _, task, _ in table.runs.cells} == set(tasks) for table in report.tables)
 
 
 # Resuming
