@@ -1,8 +1,8 @@
 """Kills real runs with SIGKILL at random moments, resumes them, and compares what comes out with an uninterrupted run, byte by byte.
 
-``python -m tests.killing collect 200`` does so 200 times; the test suite a few times. A moment is a point in time, or just before or after
-a call by which a run changes what is on the disk: each such call of an uninterrupted run is as likely as any other of its function.
-Processes are forked from one that has imported everything, which saves seconds for each.
+``python -m tests.killing collect 200`` does so 200 times; the test suite a few times, and for several commands in one process. A moment is
+a point in time, or just before or after a call by which a run changes what is on the disk: each such call of an uninterrupted run is as
+likely as any other of its function. Processes are forked from one that has imported everything, which saves seconds for each.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -223,40 +224,55 @@ def _die_at(owner: Any, name: str, number: int, before: bool) -> None:
     setattr(owner, name, call)
 
 
-def run(what: str, kills: int, seed: int = 0) -> dict[str, Any]:
+@contextmanager
+def prepared() -> Iterator[Path]:
+    """A folder in which what every command needs was made, by a process that has then imported everything."""
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as name:
+        base = Path(name)
+        # What a process has imported once, those forked from it need not import again.
+        os.environ["MINARI_DATASETS_PATH"] = str(base / "first")
+        cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
+        cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
+        yield base
+
+
+def run(what: str, kills: int, base: Path, seed: int = 0) -> dict[str, Any]:
     """Kill a command so many times, and say where and how often it ended well.
+
+    Args:
+        what: a key of COMMANDS.
+        kills: how many times.
+        base: the folder of ``prepared``.
+        seed: of the moments.
 
     Raises:
         AssertionError: something half-written was visible, a run could not be resumed, or its outcome differs.
     """
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as name:
-        base = Path(name)
-        needed = base / "needed"
-        # Whatever the command needs of it: what a process has imported once, those forked from it need not import again.
-        os.environ["MINARI_DATASETS_PATH"] = str(base / "first")
-        cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
-        cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
-        needed.mkdir()
-        if what == "suite":
-            # Its workers, too, are forked from what has imported everything.
-            scheduler.Worker = partial(Worker, context=multiprocessing.get_context("fork"))  # type: ignore[assignment, misc]
-            (needed / "suite.toml").write_text(SUITE)
-        if what in ("relabel", "evaluate"):
-            (base / "first").rename(needed / "datasets")
-        if what == "relabel":
-            shutil.rmtree(needed / "datasets" / "walker" / "walk")
-        killer = Killer(what, base / "work", needed, seed)
-        moments = [moment for moment in CALLS if killer.calls[moment]]
-        # Every kind of call once, then as it comes, half of them by time.
-        plan = [*moments, *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
-        for moment in plan[:kills]:
-            before = killer.killed.total()
-            while killer.killed.total() == before:
-                killer.kill(moment)
-        killer.check()
-        return {"killed": dict(killer.killed), "with a checkpoint to resume from": killer.resumed, "ended well": killer.finished}
+    needed = base / what / "needed"
+    needed.mkdir(parents=True)
+    if what == "suite":
+        # Its workers, too, are forked from what has imported everything.
+        scheduler.Worker = partial(Worker, context=multiprocessing.get_context("fork"))  # type: ignore[assignment, misc]
+        (needed / "suite.toml").write_text(SUITE)
+    if what in ("relabel", "evaluate"):
+        shutil.copytree(base / "first", needed / "datasets")
+    if what == "relabel":
+        shutil.rmtree(needed / "datasets" / "walker" / "walk")
+    killer = Killer(what, base / what / "work", needed, seed)
+    moments = [moment for moment in CALLS if killer.calls[moment]]
+    # Every kind of call once, then as it comes, half of them by time.
+    plan = [*moments, *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
+    for moment in plan[:kills]:
+        before = killer.killed.total()
+        while killer.killed.total() == before:
+            killer.kill(moment)
+    killer.check()
+    return {"killed": dict(killer.killed), "with a checkpoint to resume from": killer.resumed, "ended well": killer.finished}
 
 
 if __name__ == "__main__":
-    print(json.dumps(run(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)))
+    words = sys.argv[1:]
+    with prepared() as made:
+        for command, times in zip(words[::2], words[1::2], strict=True):
+            print(command, json.dumps(run(command, int(times), made)), sep="\t", flush=True)

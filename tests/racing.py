@@ -1,7 +1,7 @@
 """Starts one command twice at the same moment, many times over: one process does the work, and the other says who does.
 
-``python -m tests.racing collect 50`` does so 50 times. Processes are forked from one that has imported everything, and wait on a pipe for
-the start, so that they are apart by less than the work takes.
+``python -m tests.racing collect 50`` does so 50 times; several commands may follow each other. Processes are forked from one that has
+imported everything, and wait on a pipe for the start, so that they are apart by less than the work takes.
 """
 
 from __future__ import annotations
@@ -75,22 +75,26 @@ def race(what: str, folder: Path) -> str:
     return "refused" if done[1].code else "kept"
 
 
-def run(what: str, times: int) -> Counter[str]:
-    """Race so many times, and count how it went."""
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        os.chdir(folder)
-        os.environ["MINARI_DATASETS_PATH"] = str(folder / "datasets")
-        # Whatever the commands need of it, and import.
-        cudc_bench.relabel(*cudc_bench.collect("random", profile="smoke", settings={"steps": 2000}), ["run"])
-        if what == "collect":
-            shutil.rmtree(folder / "datasets")
-        if what == "evaluate":
-            cudc_bench.evaluate("bc", dataset_id="walker/run/random-v0", profile="smoke", steps=2, settings={"evaluate_every": 2})
-            shutil.rmtree("results")
-        return Counter(race(what, folder) for _ in range(times))
+def run(what: str, times: int, made: Path) -> Counter[str]:
+    """Race so many times in a folder of its own, and count how it went; ``made`` has the datasets that a command needs."""
+    folder = made / what
+    folder.mkdir()
+    os.chdir(folder)
+    os.environ["MINARI_DATASETS_PATH"] = str(folder / "datasets")
+    if what != "collect":
+        shutil.copytree(made / "datasets", folder / "datasets")
+    return Counter(race(what, folder) for _ in range(times))
 
 
 if __name__ == "__main__":
-    print(json.dumps(run(sys.argv[1], int(sys.argv[2]))))
+    words = sys.argv[1:]
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as name:
+        base = Path(name)
+        os.environ["MINARI_DATASETS_PATH"] = str(base / "datasets")
+        # Whatever the commands need of it, and import.
+        cudc_bench.relabel(*cudc_bench.collect("random", profile="smoke", settings={"steps": 2000}), ["run"])
+        short = {"evaluate_every": 2, "evaluation_episodes": 1, "final_episodes": 1}
+        cudc_bench.evaluate("bc", dataset_id="walker/run/random-v0", profile="smoke", steps=2, settings=short, output=base / "results")
+        for command, number in zip(words[::2], words[1::2], strict=True):
+            print(json.dumps(run(command, int(number), base)), flush=True)

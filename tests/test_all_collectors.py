@@ -26,24 +26,29 @@ SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "smm": 4}
 
 
 NAMES = plugins.names("collectors")
+# The chain after a collection knows nothing of a method but its name, its skills and whether it is a study's: of the studied ones
+# CUDC's own alias, one that needs a pilot, and one with code of its own go through all of it. All are collected below.
+CHAINED = [name for name in NAMES if name not in STUDIED - {"cudc-kmax6", "cudc-vary-icm", "apt-ksched"}]
+# One evaluation of one episode, before training and at its end.
+SHORT = {"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"}
 
 
 def test_all_are_registered() -> None:
     assert set(NAMES) >= OURS | STUDIED
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", CHAINED)
 def test_the_whole_chain(name: str, tmp_path: Path) -> None:
-    (path,) = cudc_bench.evaluate(methods=[name], tasks=["walk"], profile="smoke", output=tmp_path / "results")
+    (path,) = cudc_bench.evaluate(methods=[name], tasks=["walk"], profile="smoke", output=tmp_path / "results", steps=20, settings=SHORT)
     assert read_record(Path(path)).dataset.method == name
-    report = cudc_bench.make_leaderboard(tmp_path / "results", tmp_path / "report")
+    report = cudc_bench.make_leaderboard(tmp_path / "results", None)
     if name in STUDIED:
         # Main tables have none of these, but for the one that is CUDC itself.
         assert [table.methods for table in report.tables] == ([("cudc",)] if name == "cudc-kmax6" else [])
         assert {line.labels[0] for study in report.studies for line in study.tables[-1].parts[0].lines} >= {name}
     else:
         assert [table.methods for table in report.tables] == [(name,)]
-        assert len(report.tables[0].cells) == 2  # one task at two milestones
+        assert len(report.tables[0].cells) == 1  # one task at one milestone
     ids = (f"walker/{name}-v0", f"walker/walk/{name}-v0")
     unlabelled, labelled = (read_manifest(one) for one in ids)
     dataset = minari.load_dataset(ids[0])
@@ -60,19 +65,25 @@ def test_the_whole_chain(name: str, tmp_path: Path) -> None:
 
 def test_several_methods_in_one_command(cli: Callable, datasets: Path, tmp_path: Path) -> None:
     names = ["cudc-no-vary", "diayn", "random"]
-    done = cli("evaluate", "--method", ",".join(names), "--tasks", "walk", "--workers", "1")
+    short = [word for name, value in SHORT.items() for word in ("--set", f"{name}={value}")]
+    done = cli("evaluate", "--method", ",".join(names), "--tasks", "walk", "--workers", "1", "--steps", "20", *short)
     assert done.code == 0, done.err
     done = cli("leaderboard")
     assert done.code == 0, done.err
     assert all(name in done.out for name in names)
-    done = cli("verify", *(one for name in names for one in (f"walker/{name}-v0", f"walker/walk/{name}-v0")), "--sample", "1000")
+    done = cli("verify", *(one for name in names for one in (f"walker/{name}-v0", f"walker/walk/{name}-v0")), "--sample", "100")
     assert done.code == 0, done.err
 
 
 def test_methods_differ_from_one_another(cli: Callable, datasets: Path) -> None:
     names = [name for name in NAMES if name in OURS | STUDIED]
     for name in names:
-        cudc_bench.collect(name, profile="smoke")
+        # Long enough for a scheduled k to have grown (at 1,350 steps), and for actions to have followed from that.
+        kind = plugins.load("collectors", name)
+        settings = {"steps": 1500} | ({"seed_steps": 1000, "update_every": 25} if kind.learns else {})
+        if (threshold := kind.threshold(kind.configure("walker"))) is not None:
+            settings[threshold] = 0.5
+        cudc_bench.collect(name, profile="smoke", settings=settings)
     manifests = {name: read_manifest(f"walker/{name}-v0") for name in names}
     prints = {name: manifest.fingerprint for name, manifest in manifests.items()}
     for name, other in SAME.items():

@@ -27,7 +27,7 @@ from cudc_bench.suites.definition import suite_names
 
 from .evaluators.runs import write_run
 
-EXAMPLES, LEAST = 22, 19  # drawn for each attack, and how many of them must differ
+EXAMPLES, LEAST = 20, 17  # drawn for each attack, and how many of them must differ
 LONGEST_ANSWER = 3_000  # characters
 
 # ----------------------------------------------------------------------------------------------------------------------- strategies

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import minari
-import pytest
 
 import cudc_bench
 from cudc_bench.data.reader import verify_fingerprint
@@ -22,27 +21,31 @@ from cudc_bench.manifest import read_manifest
 from .killing import CALLS
 
 ROOT = Path(__file__).resolve().parent.parent
-COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=60000", "--checkpoint-every", "0"]
+COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=30000", "--checkpoint-every", "0"]
 
 
-@pytest.mark.parametrize(("what", "kills"), [("collect", 20), ("evaluate", 10), ("relabel", 8), ("pilot", 8), ("suite", 4)])
-def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(what: str, kills: int, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.killing", what, str(kills)]
+KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 4}
+
+
+def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """One process for all commands: to import everything, and to make what they start from, takes as long as many kills."""
+    command = [sys.executable, "-m", "tests.killing", *(str(word) for pair in KILLS.items() for word in pair)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
-    assert sum(found["killed"].values()) == kills
-    assert found["ended well"] >= 1
-    if what == "collect":
-        assert set(found["killed"]) == {*CALLS, "time"}
-    if what != "relabel":
-        assert found["with a checkpoint to resume from"] > 0
+    found = {what: json.loads(rest) for what, rest in (line.split("\t") for line in done.stdout.splitlines())}
+    assert found.keys() == KILLS.keys()
+    for what, one in found.items():
+        assert sum(one["killed"].values()) == KILLS[what]
+        assert one["ended well"] >= 1
+        if what != "relabel":
+            assert one["with a checkpoint to resume from"] > 0
+    assert set(found["collect"]["killed"]) == {*CALLS, "time"}
 
 
 def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
     datasets: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}, dataset_id="walker/undisturbed-v0")
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}, dataset_id="walker/undisturbed-v0")
     stopped = 0
     for number in (signal.SIGINT, signal.SIGTERM):
         process = subprocess.Popen(COLLECT, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
@@ -52,12 +55,12 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
         assert process.returncode == 128 + number
         line = said.splitlines()[-1]
         assert re.fullmatch(
-            r"cudc-bench: error: interrupted: random seed 1 at step [\d,]+ of 60,000; the same command continues from there\.", line
+            r"cudc-bench: error: interrupted: random seed 1 at step [\d,]+ of 30,000; the same command continues from there\.", line
         )
         stopped = int(line.split("step ")[1].split(" of")[0].replace(",", ""))
         assert max(int(path.stem) for path in datasets.rglob("*.pt")) == stopped
         assert set(minari.list_local_datasets()) == {undisturbed}
-    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}) == ["walker/random-v0"]
+    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}) == ["walker/random-v0"]
     first, second = (read_manifest(one) for one in (undisturbed, "walker/random-v0"))
     assert verify_fingerprint("walker/random-v0") == first.fingerprint
     assert second.final_state == first.final_state
@@ -98,7 +101,7 @@ def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environme
     assert list(datasets.rglob("*.pt"))
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
-    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}, dataset_id="walker/undisturbed-v0")
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}, dataset_id="walker/undisturbed-v0")
     assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
 
 
@@ -116,7 +119,7 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     done = cli("collect", "--method", "random", "--set", "steps=3000")
     assert done.code == 2
     assert done.err == (
-        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 60000, not 3000."
+        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 30000, not 3000."
         " Use those to continue it, or cudc-bench collect --fresh to start over.\n"
     )
     assert sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*")) == before

@@ -1,22 +1,75 @@
-"""The battery of collectors/contract.py on every collector that is registered here, third parties' included."""
+"""The battery of collectors/contract.py on every collector that is registered here, third parties' included.
 
+What takes a simulation, seconds each, runs once for each shape of control flow: twenty names are CUDC or APT with other values, and differ
+in losses, rewards and bounds that the tests without a simulation run for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.collectors.contract import CollectorContract
+from cudc_bench.collectors.contract import CollectorContract, make
 from cudc_bench.collectors.rnd import RND
 
 # Two names for one class need the battery once.
 NAMES = list({plugins.load("collectors", name): name for name in reversed(plugins.names("collectors"))}.values())
 
 
+def flow(name: str) -> Hashable:
+    """All by which a collector takes another way through the loop: who acts, how k and skills change, what is drawn beside the batch."""
+    collector = make(name)
+    kind, config = type(collector), collector.config
+    grows = collector.max_horizon > int(collector.horizon.max())
+    skills = bool(collector.skill_size) and ("steps" if collector.skill_steps else "episodes")
+    rule = getattr(config, "k_rule", None) if grows else None
+    return kind.act, kind.next_skill, kind.learns, skills, grows, rule, kind.threshold(config), collector.nearest is None
+
+
+def code(name: str) -> Hashable:
+    """Where a collector's state comes from: the class that last wrote any code, not only values, and its flow."""
+    kind = plugins.load("collectors", name)
+    written = next(one for one in kind.__mro__ if any(callable(value) or isinstance(value, property) for value in vars(one).values()))
+    return written, flow(name)
+
+
+def one_each(of: Callable[[str], Hashable]) -> list[str]:
+    """The first name of each kind, those before others that have no values of their own."""
+    found: dict[Hashable, str] = {}
+    for name in sorted(NAMES, key=lambda one: (bool(plugins.load("collectors", one).values), one)):
+        found.setdefault(of(name), name)
+    return list(found.values())
+
+
+COSTLY = {
+    "test_a_last_short_episode_ends_the_dataset": one_each(flow),
+    "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been": one_each(code),
+    "test_collected_together_equals_collected_alone": one_each(flow),
+    "test_physical_quantities_change_nothing_that_is_collected": one_each(flow),
+    "test_skills_are_stored_as_the_actions_followed_them": one_each(code),
+    "test_ten_thousand_steps_make_ten_valid_episodes_without_any_reward": one_each(flow),
+    "test_what_is_measured_for_diagnostics_never_reaches_the_method": one_each(flow),
+}
+
+
 class TestCollectors(CollectorContract):
-    @pytest.fixture(params=NAMES)
-    def name(self, request):
-        return request.param
+    def pytest_generate_tests(self, metafunc: Any) -> None:
+        metafunc.parametrize("name", COSTLY.get(metafunc.function.__name__, NAMES))
+
+
+def test_what_runs_once_for_several_runs_for_every_method_and_every_rule_for_k() -> None:
+    assert set(COSTLY) <= set(dir(CollectorContract))
+    methods = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "proto", "random", "rnd", "smm", "apt-ksched"}
+    assert methods <= set(COSTLY["test_a_run_that_was_interrupted_ends_as_if_it_had_not_been"])
+    for names in COSTLY.values():
+        configs = [make(name).config for name in names]
+        assert {one.k_rule for one in configs if hasattr(one, "k_rule")} == {"weight", "reward", "error", "uniform", "normal"}
+        assert {"random", "cudc", "cudc-reward", "cudc-kmix"} <= set(names)
 
 
 class Peeks(RND):

@@ -84,13 +84,14 @@ class Still:
         return self.action.expand(*observation.shape[:2], -1)
 
 
-@pytest.mark.parametrize("domain", ["walker", "dm_control/cheetah-run"])
-def test_the_arena_returns_the_same_with_any_number_of_threads(domain):
+# dm_control's own are slow: two episodes at once, or more threads than episodes.
+@pytest.mark.parametrize(("domain", "many"), [("walker", (2, 3, 9)), ("dm_control/cheetah-run", (2, 9))])
+def test_the_arena_returns_the_same_with_any_number_of_threads(domain, many):
     facts = check_domain(domain)
     still = Still(torch.linspace(-0.5, 0.5, facts.action_size))
-    seeds = [[1, 2, 3], [4, 5, 6]]
+    seeds = [[1, 2], [3, 4]]
     tasks = [facts.tasks[0], facts.tasks[-1]]
-    alone, *shared = (Arena(facts, tasks, threads).returns(still, seeds) for threads in (1, 2, 4, 9))
+    alone, *shared = (Arena(facts, tasks, threads).returns(still, seeds) for threads in (1, *many))
     assert len(set(alone.ravel().tolist())) > 3
     for returns in shared:
         assert (returns == alone).all()
@@ -130,11 +131,11 @@ def test_the_arena_returns_what_gymnasium_returns():
 
 
 def test_beats_a_random_policy_on_walker_stand():
-    # 5,000 steps on 40 episodes of random actions; the mean return of random actions on stand is about 130.
-    data = random_walker_data(40, "stand", (1,))
-    random_return = float(data.rewards.sum()) / 40
-    agent = make(seeds=(1,), width=64, batch_size=128)
-    config = EvaluateConfig(gradient_steps=5000, evaluate_every=2500, evaluation_episodes=3, final_episodes=10, milestones=(2500, 5000))
+    # 2,000 steps on 20 episodes of random actions; the mean return of random actions on stand is about 130.
+    data = random_walker_data(20, "stand", (1,))
+    random_return = float(data.rewards.sum()) / 20
+    agent = make(seeds=(1,), width=64, batch_size=64)
+    config = EvaluateConfig(gradient_steps=2000, evaluate_every=2000, evaluation_episodes=1, final_episodes=8, milestones=(2000,))
     (outcome,) = run_evaluation(agent, data, config, Arena(DOMAINS["walker"], ["stand"]), lambda n: None)
     assert all(math.isfinite(value) for _, row in outcome.metrics for value in row.values())
     assert np.mean(outcome.final) > 1.2 * random_return
