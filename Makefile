@@ -34,7 +34,7 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@echo "site       $(DEMO)/report/index.html"
 
 test: setup  ## Run the tests.
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 lint: setup  ## Check style and types.
 	$(BIN)/ruff check .

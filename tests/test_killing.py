@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=30000", "--checkpoint-every", "0"]
 
 
-KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 4}
+KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 3}
 
 
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:

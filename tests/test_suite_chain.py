@@ -63,7 +63,7 @@ def test_from_collection_to_the_table(cli: Callable, python: Callable, datasets:
     assert f"--domain {DOMAIN} --method random --seed 1 --task run" in record.command
     done = cli("leaderboard", "--domain", DOMAIN)
     assert done.code == 0, done.err
-    assert sorted(one.name for one in (tmp_path / "report").iterdir()) == ["smoke.td3.dm_control.cheetah-run"]
+    assert {"index.html", "smoke.td3", "smoke.td3.dm_control.cheetah-run"} <= {one.name for one in (tmp_path / "report").iterdir()}
     assert f"{DOMAIN}, td3, profile smoke" in done.out
 
     done = python(REPLAY, BASE, LABELLED)
