@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import html5lib
 import numpy as np
 import pytest
 from dm_control import suite
@@ -64,6 +65,11 @@ def test_from_collection_to_the_table(cli: Callable, python: Callable, datasets:
     done = cli("leaderboard", "--domain", DOMAIN)
     assert done.code == 0, done.err
     assert {"index.html", "smoke.td3", "smoke.td3.dm_control.cheetah-run"} <= {one.name for one in (tmp_path / "report").iterdir()}
+    # Real records make pages that HTML allows, the dataset's with what was measured of it.
+    pages = list((tmp_path / "report").rglob("*.html"))
+    for page in pages:
+        html5lib.HTMLParser(strict=True).parse(page.read_text())
+    assert any("top 1 % of steps" in page.read_text() for page in pages if page.parent.name == "datasets")
     assert f"{DOMAIN}, td3, profile smoke" in done.out
 
     done = python(REPLAY, BASE, LABELLED)
