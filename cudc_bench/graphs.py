@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable
-from contextlib import AbstractContextManager
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -22,28 +21,6 @@ from cudc_bench.replay import Batch
 
 WARM_UP = 3  # updates before a capture: optimisers make their state in the first, libraries choose their kernels
 T = TypeVar("T")
-
-
-class Replayable(Protocol):
-    """A learner, as graphs need it: ``update(batch)`` is ``learn(batch, prepare())``.
-
-    Attributes:
-        random: the streams that ``learn`` draws from.
-    """
-
-    random: dict[str, MemberRandom]
-
-    def update(self, batch: Batch) -> dict[str, Tensor]:
-        """Learn from one minibatch."""
-
-    def products(self) -> AbstractContextManager[None]:
-        """The context in which ``learn`` is to be called."""
-
-    def prepare(self) -> Hashable:
-        """The host's part of an update: counts, learning rates. The same answer means the same operations in ``learn``."""
-
-    def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
-        """The device's part. It changes tensors in place, waits for none, and asks Python for nothing that changes."""
 
 
 class Graph(ABC):
@@ -116,7 +93,8 @@ class Updates:
     """Draws minibatches and has a learner learn from them.
 
     Args:
-        learner: whose ``update`` is called; its state is the same however that is done, up to the rounding of other kernels.
+        learner: whose ``update`` is called, or with graphs the halves of it that ``Learner`` has; its state is the same however that is
+            done, up to the rounding of other kernels.
         draw: a minibatch on the learner's device; told whether it is to be measured. It must keep to what ``learn`` keeps to.
         random: the stream that ``draw`` draws from.
         make: makes graphs, see :func:`graphs_for`.

@@ -115,8 +115,7 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
     try:
         # In this order: a second Ctrl-C must not wait for the workers, neither while they work nor while they finish.
         with interrupts.leave_well(pass_on=partial(_signal_workers, signal.SIGTERM)), _or_killed(), _finished(pool), _or_killed():
-            # Workers inherit what is blocked: they never hear Ctrl-C, and SIGTERM only once they know what to do with it.
-            with _blocked():
+            with signals_blocked():
                 futures = [pool.submit(_work, function, job, index, threads) for index, job in enumerate(jobs)]
             wait(futures, return_when=FIRST_EXCEPTION)
             if interrupts.requested():
@@ -169,7 +168,8 @@ def _signal_workers(number: int) -> None:
 
 
 @contextmanager
-def _blocked() -> Iterator[None]:
+def signals_blocked() -> Iterator[None]:
+    """Processes inherit what is blocked: a worker never hears Ctrl-C, and SIGTERM only once it knows what to do with it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield

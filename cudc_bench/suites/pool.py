@@ -23,7 +23,7 @@ from typing import Any
 from cudc_bench import interrupts
 from cudc_bench.errors import CudcBenchError, HeldError
 from cudc_bench.markup import visible
-from cudc_bench.parallel import leave_with_parent, use_cores
+from cudc_bench.parallel import leave_with_parent, signals_blocked, use_cores
 
 from .jobs import Job
 from .work import Common, do
@@ -67,7 +67,7 @@ class Worker:
         context = context or multiprocessing.get_context("spawn")
         self._mine, its = context.Pipe()
         self._process = context.Process(target=_serve, args=(its, cores, common), daemon=False)
-        with _blocked(), _threads(cores):
+        with signals_blocked(), _threads(cores):
             self._process.start()
         its.close()
         self.job: Job | None = None
@@ -134,16 +134,6 @@ def _death(code: int | None) -> str:
     except ValueError:
         name = str(-code)
     return f"{name}{', perhaps out of memory' if name == 'SIGKILL' else ''}"
-
-
-@contextmanager
-def _blocked() -> Iterator[None]:
-    """Processes inherit what is blocked: a worker never hears Ctrl-C, and SIGTERM only once it knows what to do with it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """What the pages of the static site show, before it is HTML: grids, figures, downloads, and exhibits, which are these under one title.
 
-An :class:`Exhibit` is the one way onto a page: who has a further table or figure makes one and hands it to ``site.site_files``. Links are
-paths from the site's root, pages make them relative. All text is plain and is escaped when it is drawn.
+An :class:`Exhibit` is the one way onto a page. Links are paths from the site's root, pages make them relative. All text is plain and is
+escaped when it is drawn.
 """
 
 from __future__ import annotations
