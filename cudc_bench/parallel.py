@@ -6,15 +6,9 @@ since small matrices gain nothing from being stacked there; on a GPU all members
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -22,11 +16,9 @@ from typing import Any
 from cudc_bench import interrupts
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.progress import Advance, bars
+from cudc_bench.workers import Died, Ended, Worker, listen
 
-# In a worker process:
-_queue: Any = None  # where progress is reported
-_busy = False  # whether it has a job
-_share: int | None = None  # of the machine's cores, where other processes have the rest
+_share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
 
 @dataclass(frozen=True)
@@ -107,111 +99,67 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
 
 
 def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    listener = threading.Thread(target=_listen, args=(queue, advances), daemon=True)
-    listener.start()
-    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(queue,))
+    pool: list[Worker[int]] = []
+    left = list(reversed(range(len(jobs))))
+    results: dict[int, Any] = {}
+    errors: dict[int, BaseException] = {}
+
+    def pass_on() -> None:
+        for worker in pool:
+            worker.ask()
+
     try:
-        # In this order: a second Ctrl-C must not wait for the workers, neither while they work nor while they finish.
-        with interrupts.leave_well(pass_on=partial(_signal_workers, signal.SIGTERM)), _or_killed(), _finished(pool), _or_killed():
-            with signals_blocked():
-                futures = [pool.submit(_work, function, job, index, threads) for index, job in enumerate(jobs)]
-            wait(futures, return_when=FIRST_EXCEPTION)
-            if interrupts.requested():
-                wait(futures)
-            return _results(futures)
-    except BrokenProcessPool:
-        raise RunError("a worker process died (killed, or out of memory); run the same command again.") from None
-    finally:
-        queue.put(None)
-        listener.join()
-
-
-@contextmanager
-def _finished(pool: ProcessPoolExecutor) -> Iterator[None]:
-    """After a failure, jobs that have not started are dropped and the running ones are waited for: they lose nothing."""
-    try:
-        yield
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _or_killed() -> Iterator[None]:
-    """Kill the workers if this process is to stop at once."""
-    try:
-        yield
-    except interrupts.Interrupted:
+        with interrupts.leave_well(pass_on):
+            while True:
+                # After a failure jobs that have not started are dropped, and the running ones are waited for: they lose nothing.
+                while left and not errors and not interrupts.requested() and len(pool) < workers:
+                    pool.append(Worker(partial(_work, function, jobs, threads)))
+                    pool[-1].give(left.pop())
+                if interrupts.requested():
+                    pass_on()  # to one that was just being started when the signal came
+                if not any(worker.task is not None for worker in pool):
+                    break
+                listen(pool, 0.2)
+                for worker in pool:
+                    index = worker.task
+                    for news in worker.news() if index is not None else ():
+                        assert index is not None
+                        if isinstance(news, Died):
+                            errors[index] = RunError("a worker process died (killed, or out of memory); run the same command again.")
+                            pass_on()
+                        elif not isinstance(news, Ended):
+                            advances[index](news)
+                        elif news.error is not None:
+                            errors[index] = news.error
+                        else:
+                            results[index] = news.result
+                    if worker.task is None and left and not errors and not interrupts.requested():
+                        worker.give(left.pop())
+            return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
+    except BaseException as error:
+        if not isinstance(error, Exception | interrupts.Interrupted):
+            for worker in pool:
+                worker.kill()  # whoever asks twice does not want to wait
         raise
-    except KeyboardInterrupt:
-        _signal_workers(signal.SIGKILL)
-        raise
+    finally:
+        for worker in pool:
+            worker.close()
 
 
-def _results(futures: Sequence[Future[Any]]) -> list[Any]:
+def _results(results: list[Any], errors: list[BaseException], left: bool) -> list[Any]:
     """The results of jobs, or the error of the first that failed, or in one the places at which they were interrupted."""
-    errors = [error for one in futures if one.done() and (error := one.exception()) is not None]
     stopped = [error for error in errors if isinstance(error, interrupts.Interrupted)]
-    if stopped:
+    failed = [error for error in errors if not isinstance(error, interrupts.Interrupted)]
+    # Where a worker died, the others were asked to leave by nobody but this process.
+    if (interrupts.requested() and (stopped or left)) or (stopped and not failed):
         raise interrupts.interrupted(", ".join(filter(None, (one.where for one in stopped))))
-    for error in errors:
+    for error in failed:
         raise error
-    return [future.result() for future in futures]
+    return results
 
 
-def _signal_workers(number: int) -> None:
-    for child in multiprocessing.active_children():
-        if child.pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(child.pid, number)
-
-
-@contextmanager
-def signals_blocked() -> Iterator[None]:
-    """Processes inherit what is blocked: a worker never hears Ctrl-C, and SIGTERM only once it knows what to do with it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _start_worker(queue: Any) -> None:
-    global _queue
-    _queue = queue
-    signal.signal(signal.SIGTERM, lambda number, _: interrupts.ask(number))
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    leave_with_parent(lambda: _busy)
-
-
-def leave_with_parent(busy: Callable[[], bool]) -> None:
-    """End this worker when the process that wants its results was killed: at once if it is idle, else when its job has saved its state.
-
-    Args:
-        busy: whether there is a job that will save its state.
-    """
-    parent = multiprocessing.parent_process()
-
-    def wait_and_leave() -> None:
-        if parent is None:
-            return
-        parent.join()
-        interrupts.ask(signal.SIGTERM)
-        while busy():
-            time.sleep(0.05)
-        os._exit(1)
-
-    threading.Thread(target=wait_and_leave, daemon=True).start()
-
-
-def _work(function: Callable[..., Any], job: Job, index: int, threads: int) -> Any:
-    global _busy
-    _busy = True
-    try:
-        return _call(function, job, threads, lambda n: _queue.put((index, n)))
-    finally:
-        _busy = False
+def _work(function: Callable[..., Any], jobs: list[Job], threads: int, index: int, tell: Callable[[int], None]) -> Any:
+    return _call(function, jobs[index], threads, tell)
 
 
 def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance) -> Any:
@@ -222,12 +170,6 @@ def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance
             return function(advance, **job.arguments)
     except interrupts.Interrupted as error:
         raise interrupts.interrupted(f"{job.description} {error.where}") from None
-
-
-def _listen(queue: Any, advances: list[Any]) -> None:
-    while (message := queue.get()) is not None:
-        index, n = message
-        advances[index](n)
 
 
 @contextmanager

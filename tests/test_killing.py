@@ -22,7 +22,7 @@ from .killing import CALLS
 
 ROOT = Path(__file__).resolve().parent.parent
 COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=60000", "--checkpoint-every", "0"]
-
+TWO = [*COLLECT, "--seeds", "1-2", "--workers", "2"]
 
 KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 3}
 
@@ -70,12 +70,8 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
 def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
     datasets: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    process = subprocess.Popen(
-        [*COLLECT, "--seeds", "1-2", "--workers", "2"], env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    wait_for(lambda: len({path.parent for path in datasets.rglob("*.pt")}) == 2, process)
-    for child in children(process.pid):
-        os.kill(child, signal.SIGSTOP)  # they cannot finish what they are at
+    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    stopped_with_something_kept(datasets, process)
     kept = {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))}
     process.send_signal(signal.SIGINT)
     time.sleep(0.6)
@@ -88,18 +84,18 @@ def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
 
 
 def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    command = [*COLLECT, "--seeds", "1-2", "--workers", "2"]
-    process = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    wait_for(lambda: len({path.parent for path in datasets.rglob("*.pt")}) == 2, process)
-    worker = int((datasets / "walker" / ".random-v0.lock").read_text().split()[0])
-    os.kill(worker, signal.SIGKILL)
+    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    first, second = stopped_with_something_kept(datasets, process)
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: waits_for(second, signal.SIGTERM), process)
+    os.kill(second, signal.SIGCONT)
     _, said = process.communicate(timeout=300)
     assert process.returncode == 1
     assert said.splitlines()[-1] == ("cudc-bench: error: a worker process died (killed, or out of memory); run the same command again.")
     assert "Traceback" not in said
     assert minari.list_local_datasets() == {}
-    assert list(datasets.rglob("*.pt"))
-    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
+    done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
     (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 60_000}, dataset_id="walker/undisturbed-v0")
     assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
@@ -137,14 +133,22 @@ def wait_for(true: Callable[[], bool], process: subprocess.Popen) -> None:
         time.sleep(0.002)
 
 
-def children(process: int) -> list[int]:
-    """The worker processes of a process."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == process and b"spawn_main" in (path / "cmdline").read_bytes():
-                found.append(int(path.name))
-        except OSError:
-            continue
-    return found
+def stopped_with_something_kept(datasets: Path, process: subprocess.Popen) -> list[int]:
+    """Stop each of the two workers at its first checkpoint: on a busy machine one could be done before the other has begun."""
+    stopped: dict[str, int] = {}
+
+    def both() -> bool:
+        for name in ("random-v0", "random-seed2-v0"):
+            if name not in stopped and any((datasets / "walker" / f".{name}.building").rglob("*.pt")):
+                stopped[name] = int((datasets / "walker" / f".{name}.lock").read_text().split()[0])
+                os.kill(stopped[name], signal.SIGSTOP)
+        return len(stopped) == 2
+
+    wait_for(both, process)
+    return list(stopped.values())
+
+
+def waits_for(process: int, number: signal.Signals) -> bool:
+    """Whether the signal was sent to a stopped process, which will hear it when it goes on."""
+    pending = re.search(r"^ShdPnd:\s+(\w+)", Path(f"/proc/{process}/status").read_text(), re.MULTILINE)
+    return pending is not None and bool(int(pending[1], 16) >> (number - 1) & 1)

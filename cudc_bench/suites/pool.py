@@ -1,36 +1,32 @@
 """Processes that take one job after another, so that PyTorch is imported once for each and not once for each job.
 
-A worker's output goes to a file of each job's own. It hears nothing of Ctrl-C, which is the scheduler's to pass on; SIGTERM makes it save
-and leave, and so does the death of the scheduler.
+A worker's output goes to a file of each job's own.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 import sys
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from multiprocessing.connection import Connection, wait
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cudc_bench import interrupts
+from cudc_bench import interrupts, workers
 from cudc_bench.errors import CudcBenchError, HeldError
 from cudc_bench.markup import visible
-from cudc_bench.parallel import leave_with_parent, signals_blocked, use_cores
+from cudc_bench.parallel import use_cores
 
 from .jobs import Job
 from .work import Common, do
 
 _TELL_EVERY = 0.25  # seconds between two reports of progress
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_busy = False  # in a worker, whether it has a job that keeps its state
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Ended:
 
 
 class Worker:
-    """One process.
+    """A process for jobs.
 
     Args:
         cores: that it may use.
@@ -64,76 +60,31 @@ class Worker:
     """
 
     def __init__(self, cores: int, common: Common, context: Any = None) -> None:
-        context = context or multiprocessing.get_context("spawn")
-        self._mine, its = context.Pipe()
-        self._process = context.Process(target=_serve, args=(its, cores, common), daemon=False)
-        with signals_blocked(), _threads(cores):
-            self._process.start()
-        its.close()
-        self.job: Job | None = None
-        self.log: Path | None = None
+        with _threads(cores):
+            self.process = workers.Worker(partial(_attempt, common), partial(use_cores, cores), _saves, context)
 
     def give(self, job: Job, log: Path) -> None:
         """Start a job, whose output goes to a file."""
-        self.job, self.log = job, log
-        # A process that has died says so when it is listened to.
-        with suppress(OSError):
-            self._mine.send((job, log))
+        self.process.give((job, log))
+
+    @property
+    def job(self) -> Job | None:
+        """What it is at."""
+        return None if self.process.task is None else self.process.task[0]
 
     def news(self) -> Iterator[Progress | Ended]:
         """What it has said since it was last asked; a process that died says that its job failed."""
-        try:
-            while self.job is not None and self._mine.poll():
-                message = self._mine.recv()
-                if isinstance(message, Ended):
-                    self.job = None
+        for message in self.process.news():
+            if isinstance(message, workers.Died):
+                yield Ended("failed", f"its process died ({message.how})")
+            elif isinstance(message, workers.Ended):
+                yield message.result if message.error is None else Ended("failed", visible(str(message.error)))
+            else:
                 yield message
-        except (EOFError, OSError):
-            self._process.join()
-            self.job = None
-            yield Ended("failed", f"its process died ({_death(self._process.exitcode)})")
-
-    @property
-    def lives(self) -> bool:
-        """Whether it can take a job."""
-        return self._process.is_alive()
-
-    @property
-    def connection(self) -> Connection:
-        """For :func:`listen`."""
-        return self._mine
-
-    def signal(self, number: int) -> None:
-        """Send its process a signal."""
-        if self._process.pid is not None and self._process.is_alive():
-            with suppress(ProcessLookupError):
-                os.kill(self._process.pid, number)
-
-    def close(self) -> None:
-        """Let it go when its job has ended."""
-        with suppress(OSError):
-            self._mine.send(None)
-        self._mine.close()
-        self._process.join()
 
 
-def listen(workers: list[Worker], seconds: float) -> None:
-    """Wait until a worker that has a job says something, but no longer than so many seconds."""
-    busy = [worker.connection for worker in workers if worker.job is not None]
-    if busy:
-        wait(busy, seconds)
-    else:
-        time.sleep(seconds)
-
-
-def _death(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = str(-code)
-    return f"{name}{', perhaps out of memory' if name == 'SIGKILL' else ''}"
+def _saves(given: tuple[Job, Path]) -> bool:
+    return given[0].kind != "stats"
 
 
 @contextmanager
@@ -151,41 +102,15 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(pipe: Connection, cores: int, common: Common) -> None:
-    """A worker's life."""
-    global _busy
-    signal.signal(signal.SIGTERM, lambda number, _: interrupts.ask(number))
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    use_cores(cores)
-    leave_with_parent(lambda: _busy)
-    while True:
-        try:
-            given = pipe.recv()
-        except (EOFError, OSError):
-            return
-        if given is None:
-            return
-        job, log = given
-        _busy = job.kind != "stats"
-        try:
-            ended = _attempt(job, log, common, pipe)
-        finally:
-            _busy = False
-        try:
-            pipe.send(ended)
-        except OSError:
-            return
-
-
-def _attempt(job: Job, log: Path, common: Common, pipe: Connection) -> Ended:
+def _attempt(common: Common, given: tuple[Job, Path], send: workers.Tell) -> Ended:
+    job, log = given
     last = 0.0
 
     def tell(done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last >= _TELL_EVERY:
             last = time.monotonic()
-            with suppress(OSError):
-                pipe.send(Progress(done, total))
+            send(Progress(done, total))
 
     try:
         with into(log):

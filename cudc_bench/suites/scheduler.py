@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,10 +10,11 @@ from pathlib import Path
 from cudc_bench import interrupts
 from cudc_bench.errors import RunError
 from cudc_bench.parallel import all_cores
+from cudc_bench.workers import listen
 
 from .display import Display, Running, duration, size
 from .jobs import Job, Plan
-from .pool import Ended, Progress, Worker, listen
+from .pool import Ended, Progress, Worker
 from .queue import Failure, Queue
 from .work import Common, finish_removal, made_by, remove
 
@@ -81,15 +81,12 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     pool: list[Worker] = []
     share = max(1, all_cores() // workers)
     left: list[str] = []
-    asked: set[Worker] = set()
 
     def pass_on() -> None:
         for worker in pool:
-            if worker.job is not None and worker not in asked:
-                asked.add(worker)
-                worker.signal(signal.SIGTERM)
+            worker.process.ask()
 
-    def end(worker: Worker, job: Job, ended: Ended) -> None:
+    def end(job: Job, ended: Ended) -> None:
         one = running.pop(job)
         passed = time.monotonic() - one.started
         if ended.how == "done":
@@ -107,7 +104,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
             queue.put_back(job)
             left.append(ended.why)
         else:
-            log = worker.log
+            log = logs / f"{job.slug}.log"
             queue.fail(job, ended.why)
             display.line(f"failed {job.name}: {ended.why} See {log}")
 
@@ -124,7 +121,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
                 else:
                     pass_on()  # to a worker that was just being given a job when the signal came
                 display.refresh(running)
-                listen(pool, 0.2)
+                listen([worker.process for worker in pool], 0.2)
                 for worker in pool:
                     job = worker.job
                     for news in worker.news() if job is not None else ():
@@ -132,18 +129,18 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
                         if isinstance(news, Progress):
                             running[job].tell(news.done, news.total)
                         else:
-                            end(worker, job, news)
+                            end(job, news)
             if interrupts.requested():
                 done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
                 raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))
     except BaseException as error:
         if not isinstance(error, interrupts.Interrupted):
             for worker in pool:
-                worker.signal(signal.SIGKILL)  # at once
+                worker.process.kill()
         raise
     finally:
         for worker in pool:
-            worker.close()
+            worker.process.close()
     return [(failure, logs / f"{(failure.because or failure.job).slug}.log") for failure in queue.failures]
 
 
@@ -153,9 +150,9 @@ def _give_out(
 ) -> None:  # fmt: skip
     """Give each worker that is idle a job, as far as there are any; a worker that died is replaced."""
     while len(running) < workers and (job := queue.start(not_now)) is not None:
-        for dead in [worker for worker in pool if worker.job is None and not worker.lives]:
+        for dead in [worker for worker in pool if worker.job is None and not worker.process.lives]:
             pool.remove(dead)
-            dead.close()
+            dead.process.close()
         idle = next((worker for worker in pool if worker.job is None), None)
         if idle is None:
             idle = Worker(share, common)

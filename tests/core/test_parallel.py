@@ -81,3 +81,34 @@ def test_threads_do_not_depend_on_how_many_jobs_are_left() -> None:
     assert run_jobs(threads, jobs({}), unit="steps", workers=1, threads=3) == [3]
     alone = run_jobs(threads, jobs({}), unit="steps", workers=2, threads=None)
     assert alone == run_jobs(threads, jobs({}, {}), unit="steps", workers=2, threads=None)[:1]
+
+
+class Unpicklable(Exception):
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one + two)
+
+
+def ends_so(advance: Any, *, how: str) -> str:
+    if how == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if how == "bug":
+        raise Unpicklable("not ", "so")
+    while how == "long" and not interrupts.requested():
+        time.sleep(0.01)
+    if how == "long":
+        raise interrupts.interrupted("somewhere")
+    return how
+
+
+def test_a_death_ends_the_others_and_those_that_have_nothing_to_do() -> None:
+    """One is at work, one has died, one has done its work."""
+    for order in (("short", "long", "killed"), ("killed", "short", "long")):
+        with pytest.raises(RunError, match="a worker process died"):
+            run_jobs(ends_so, jobs(*({"how": how} for how in order)), unit="steps", workers=3, threads=1)
+
+
+def test_a_bug_in_a_worker_comes_home_with_its_traceback() -> None:
+    with pytest.raises(RuntimeError) as caught:
+        run_jobs(ends_so, jobs({"how": "bug"}, {"how": "short"}), unit="steps", workers=2, threads=1)
+    assert str(caught.value) == "Unpicklable: not so"
+    assert 'raise Unpicklable("not ", "so")' in caught.value.__notes__[0]

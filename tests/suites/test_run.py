@@ -183,7 +183,7 @@ def wait_for(what: Callable[[], Any], seconds: float = 60.0) -> Any:
 def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
     environment: dict[str, str], datasets: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "my.toml").write_text(TINY.replace("steps = 1000", "steps = 60000, seed_steps = 500").replace("jaco", "walker").replace(
+    (tmp_path / "my.toml").write_text(TINY.replace("steps = 1000", "steps = 6000000, seed_steps = 500").replace("jaco", "walker").replace(
         "reach_top_left", "walk"
     ))  # fmt: skip
     kept = datasets / "walker" / ".random-v0.building" / "checkpoints"
@@ -208,7 +208,7 @@ def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
     os.killpg(second.pid, signal.SIGINT)
     _, said = second.communicate(timeout=60)
     assert second.returncode == 130, said
-    assert re.search(r"error: interrupted: 0 of 3 jobs done; .*random seed 1 at step [\d,]+ of 60,000; the same command continues", said)
+    assert re.search(r"error: interrupted: 0 of 3 jobs done; .*random seed 1 at step [\d,]+ of 6,000,000; the same command continues", said)
     assert newest() > reached
     assert not exists("walker/random-v0")
     worker = int(re.findall(r"process (\d+):", log.read_text())[-1])
