@@ -30,15 +30,8 @@ class DIAYNConfig(DDPGConfig):
     skill_every: NonNegativeInt = 50
 
 
-class DIAYN(DDPG):
-    """Rewards states from which a discriminator recognises the skill: log q(z|s') - log p(z), with p uniform.
-
-    As in URLB and unlike Eysenbach et al.: DDPG instead of a maximum-entropy policy, and skills that change within an episode.
-    """
-
-    config_class: ClassVar[type] = DIAYNConfig
-    family = "competence"
-    citation = "Eysenbach et al. 2018"
+class OneHotSkills(DDPG):
+    """Some skills, all equally likely, as one-hot codes; for configurations with ``skills`` and ``skill_every``."""
 
     @property
     def skill_size(self) -> int:
@@ -49,7 +42,19 @@ class DIAYN(DDPG):
         return int(self.config.skill_every)
 
     def draw_skills(self, random: MemberRandom) -> Tensor:
-        return draw_one_hot(random, self.config.skills)
+        skills = self.config.skills
+        return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
+
+
+class DIAYN(OneHotSkills):
+    """Rewards states from which a discriminator recognises the skill: log q(z|s') - log p(z), with p uniform.
+
+    As in URLB and unlike Eysenbach et al.: DDPG instead of a maximum-entropy policy, and skills that change within an episode.
+    """
+
+    config_class: ClassVar[type] = DIAYNConfig
+    family = "competence"
+    citation = "Eysenbach et al. 2018"
 
     def build(self, random: MemberRandom) -> list[Trained]:
         width = self.config.width
@@ -65,11 +70,6 @@ class DIAYN(DDPG):
     def reward(self, batch: Batch) -> Tensor:
         logits = self.discriminator(batch.next_observation)
         return math.log(self.config.skills) - skill_cross_entropy(logits, skill_of(batch))
-
-
-def draw_one_hot(random: MemberRandom, skills: int) -> Tensor:
-    """One of some skills for each member, all equally likely, as one-hot codes (E, skills)."""
-    return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
 
 
 def skill_of(batch: Batch) -> Tensor:

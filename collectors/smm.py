@@ -13,8 +13,8 @@ from cudc_bench.config import Finite, NonNegativeFloat, NonNegativeInt, Positive
 from cudc_bench.networks import MemberRandom, Trained, mlp
 from cudc_bench.replay import Batch
 
-from .ddpg import DDPG, DDPGConfig
-from .diayn import draw_one_hot, skill_cross_entropy, skill_of
+from .ddpg import DDPGConfig
+from .diayn import OneHotSkills, skill_cross_entropy, skill_of
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SMMConfig(DDPGConfig):
     discriminator_weight: Finite = 1.0
 
 
-class SMM(DDPG):
+class SMM(OneHotSkills):
     """Rewards states of low density under the own skill's past, by the reconstruction error of a variational autoencoder.
 
     r = ‖(s, z) - reconstruction‖² + log K - log q(z|s). The last term has URLB's sign: Lee et al. reward skills that can be recognised
@@ -53,17 +53,6 @@ class SMM(DDPG):
     config_class: ClassVar[type] = SMMConfig
     family = "density"
     citation = "Lee et al. 2019"
-
-    @property
-    def skill_size(self) -> int:
-        return int(self.config.skills)
-
-    @property
-    def skill_steps(self) -> int:
-        return int(self.config.skill_every)
-
-    def draw_skills(self, random: MemberRandom) -> Tensor:
-        return draw_one_hot(random, self.config.skills)
 
     def build(self, random: MemberRandom) -> list[Trained]:
         config = self.config
