@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cudc_bench import interrupts
 from cudc_bench.errors import UsageError
 from cudc_bench.options import (
     CHECKPOINT_EVERY,
@@ -32,6 +33,7 @@ from cudc_bench.options import (
 )
 
 
+@interrupts.leave_well()  # also between two methods
 def collect(
     method: MethodOption = "cudc",
     domain: DomainOption = "walker",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import wraps
 from typing import Annotated, Any
 
@@ -105,7 +106,8 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _complain(message: str) -> None:
-    print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
+    with suppress(OSError):  # nobody may be there any more to read it
+        print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -19,6 +19,9 @@ _NOTICE = "\ncudc-bench: finishing this step{}; interrupt once more to stop at o
 _SAME = 0.3  # seconds within which two signals are one request
 
 _asked = 0  # the signal's number, 0 for none
+_when = 0.0  # it was asked first
+_inside = 0  # contexts, one within another: a request holds until the outermost ends
+_for_good = False  # in a worker: whoever started it decides what a second request means
 
 
 class Interrupted(KeyboardInterrupt):
@@ -37,6 +40,8 @@ class Interrupted(KeyboardInterrupt):
     @property
     def message(self) -> str:
         """For people, with what to do."""
+        if not self.where:
+            return "interrupted; the same command goes on."
         return f"interrupted: {self.where}; the same command continues from there."
 
 
@@ -47,8 +52,16 @@ def requested() -> bool:
 
 def ask(number: int = signal.SIGINT) -> None:
     """Ask this process to leave, as a signal of that number does."""
-    global _asked
-    _asked = _asked or int(number)
+    global _asked, _when
+    if not _asked:
+        _asked, _when = int(number), time.monotonic()
+
+
+def hear() -> None:
+    """In a worker process: SIGTERM asks from now on, and what was asked is never forgotten."""
+    global _for_good
+    _for_good = True
+    signal.signal(signal.SIGTERM, lambda number, _: ask(number))
 
 
 def interrupted(where: str) -> Interrupted:
@@ -58,36 +71,38 @@ def interrupted(where: str) -> Interrupted:
 
 @contextmanager
 def leave_well(pass_on: Callable[[], None] = lambda: None, saves: bool = True) -> Iterator[None]:
-    """Within this context the first SIGINT or SIGTERM only asks; outside the main thread, nothing changes.
+    """Within this context the first SIGINT or SIGTERM only asks; outside the main thread and in workers, nothing changes.
+
+    Work in several stages, each with such a context, needs one around all: a request may come when a stage has looked for the last time.
 
     Args:
         pass_on: called with the first signal, to ask processes that work for this one.
         saves: whether what is done by then is kept.
     """
-    global _asked
-    if threading.current_thread() is not threading.main_thread():
+    global _asked, _inside
+    if _for_good or threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    first = 0.0
-
     def handle(number: int, _: FrameType | None) -> None:
-        nonlocal first
         if requested():
             # One request can come as two signals: some senders address the process, and then its group.
-            if time.monotonic() - first > _SAME:
+            if time.monotonic() - _when > _SAME:
                 raise KeyboardInterrupt
             return
-        first = time.monotonic()
         ask(number)
-        # Not through a stream: this may have come while its buffer was being written.
-        os.write(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, _NOTICE.format(" and saving" if saves else "").encode())
         pass_on()
+        # Whoever reads may have left by the same signal (a pipe to tee). Not through a stream: its buffer may be half written.
+        with suppress(OSError, ValueError):
+            os.write(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, _NOTICE.format(" and saving" if saves else "").encode())
 
+    _inside += 1
     before = [signal.signal(number, handle) for number in _SIGNALS]
     try:
         yield
     finally:
         for number, handler in zip(_SIGNALS, before, strict=True):
             signal.signal(number, handler)
-        _asked = 0
+        _inside -= 1
+        if not _inside:
+            _asked = 0

@@ -15,8 +15,8 @@ from typing import Any
 
 from cudc_bench import interrupts
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.progress import Advance, bars
-from cudc_bench.workers import Died, Ended, Worker, listen
+from cudc_bench.progress import Advance, bars, say
+from cudc_bench.workers import Died, Ended, Worker, close, listen
 
 _share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
@@ -99,8 +99,8 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
 
 
 def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
-    pool: list[Worker[int]] = []
-    left = list(reversed(range(len(jobs))))
+    pool: list[Worker[tuple[int, Job]]] = []
+    left = list(reversed(list(enumerate(jobs))))
     results: dict[int, Any] = {}
     errors: dict[int, BaseException] = {}
 
@@ -108,42 +108,53 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
         for worker in pool:
             worker.ask()
 
-    try:
-        with interrupts.leave_well(pass_on):
+    def goes_on() -> bool:
+        # After a failure jobs that have not started are dropped, and the running ones are waited for: they lose nothing.
+        return bool(left) and not errors and not interrupts.requested()
+
+    def hear(index: int, news: Any) -> None:
+        if isinstance(news, Died):
+            errors[index] = RunError(f"a worker process died ({news.how}); run the same command again.")
+            pass_on()  # what ended it, mostly a want of memory, would end them without a chance to save
+        elif not isinstance(news, Ended):
+            advances[index](news)
+        elif news.error is None:
+            results[index] = news.result
+        else:
+            errors[index] = news.error
+            if not isinstance(news.error, interrupts.Interrupted) and any(worker.task is not None for worker in pool):
+                say(f"{jobs[index].description} failed, the others that have begun go on: {news.error}")
+
+    with interrupts.leave_well(pass_on):
+        try:
             while True:
-                # After a failure jobs that have not started are dropped, and the running ones are waited for: they lose nothing.
-                while left and not errors and not interrupts.requested() and len(pool) < workers:
-                    pool.append(Worker(partial(_work, function, jobs, threads)))
+                while goes_on() and len(pool) < workers:
+                    pool.append(Worker(partial(_work, function, threads)))
                     pool[-1].give(left.pop())
                 if interrupts.requested():
-                    pass_on()  # to one that was just being started when the signal came
-                if not any(worker.task is not None for worker in pool):
+                    pass_on()
+                if all(worker.task is None for worker in pool):
                     break
                 listen(pool, 0.2)
                 for worker in pool:
-                    index = worker.task
-                    for news in worker.news() if index is not None else ():
-                        assert index is not None
-                        if isinstance(news, Died):
-                            errors[index] = RunError("a worker process died (killed, or out of memory); run the same command again.")
-                            pass_on()
-                        elif not isinstance(news, Ended):
-                            advances[index](news)
-                        elif news.error is not None:
-                            errors[index] = news.error
-                        else:
-                            results[index] = news.result
-                    if worker.task is None and left and not errors and not interrupts.requested():
+                    if worker.task is None:
+                        continue
+                    index, _ = worker.task
+                    for news in worker.news():
+                        hear(index, news)
+                    if worker.task is None and goes_on():
                         worker.give(left.pop())
             return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
-    except BaseException as error:
-        if not isinstance(error, Exception | interrupts.Interrupted):
+        except BaseException as error:
             for worker in pool:
-                worker.kill()  # whoever asks twice does not want to wait
-        raise
-    finally:
-        for worker in pool:
-            worker.close()
+                # Whoever asks twice does not want to wait; after an error here nobody wants the results.
+                if isinstance(error, Exception | interrupts.Interrupted):
+                    worker.ask()
+                else:
+                    worker.kill()
+            raise
+        finally:
+            close(pool)
 
 
 def _results(results: list[Any], errors: list[BaseException], left: bool) -> list[Any]:
@@ -151,15 +162,15 @@ def _results(results: list[Any], errors: list[BaseException], left: bool) -> lis
     stopped = [error for error in errors if isinstance(error, interrupts.Interrupted)]
     failed = [error for error in errors if not isinstance(error, interrupts.Interrupted)]
     # Where a worker died, the others were asked to leave by nobody but this process.
-    if (interrupts.requested() and (stopped or left)) or (stopped and not failed):
-        raise interrupts.interrupted(", ".join(filter(None, (one.where for one in stopped))))
+    if (stopped or left) and (interrupts.requested() or not failed):
+        raise interrupts.interrupted(", ".join(filter(None, (one.where for one in stopped)))) from next(iter(failed), None)
     for error in failed:
         raise error
     return results
 
 
-def _work(function: Callable[..., Any], jobs: list[Job], threads: int, index: int, tell: Callable[[int], None]) -> Any:
-    return _call(function, jobs[index], threads, tell)
+def _work(function: Callable[..., Any], threads: int, task: tuple[int, Job], tell: Callable[[int], None]) -> Any:
+    return _call(function, task[1], threads, tell)
 
 
 def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance) -> Any:

@@ -13,14 +13,15 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from cudc_bench import interrupts
-from cudc_bench.errors import CudcBenchError
+from cudc_bench.errors import CudcBenchError, RunError
 
 T = TypeVar("T")
 Tell = Callable[[Any], None]
@@ -96,17 +97,19 @@ class Worker(Generic[T]):
                     self.task = None
                 yield message
         except (EOFError, OSError):
+            self._mine.close()  # also where a message could not be read: it goes when it finds nobody
             self._process.join()
             self.task = None
             yield Died(_death(self._process.exitcode))
 
     @property
     def lives(self) -> bool:
-        """Whether it can take a task."""
+        """Whether it takes a task if it has none."""
         return self._process.is_alive()
 
     def ask(self) -> None:
-        """Ask its task to save and leave, once: this may be called from a signal handler, and again for a worker that it did not see."""
+        """Ask its task to save and leave; asked again, nothing happens. (A signal handler may not see a worker that is just being started,
+        so that whoever waits for them must ask once more.)"""
         if not self._asked:
             self._asked = True
             self._signal(signal.SIGTERM)
@@ -120,11 +123,14 @@ class Worker(Generic[T]):
             with suppress(ProcessLookupError):
                 os.kill(self._process.pid, number)
 
-    def close(self) -> None:
-        """Let it go when its task has ended."""
+    def release(self) -> None:
+        """Let it go when its task has ended, without waiting for that."""
         with suppress(OSError):
             self._mine.send(None)
         self._mine.close()
+
+    def join(self) -> None:
+        """Wait until its process has ended."""
         self._process.join()
 
     def fileno(self) -> int:
@@ -141,9 +147,25 @@ def listen(workers: Sequence[Worker[Any]], seconds: float | None = None) -> None
         time.sleep(seconds)
 
 
+def close(workers: Iterable[Worker[Any]]) -> None:
+    """Let workers go when their tasks have ended, and wait for that; kill them if the waiting is interrupted."""
+    workers = list(workers)
+    for worker in workers:  # all before any is waited for: one with an open pipe would stay, and Python waits for it at its own end
+        worker.release()
+    try:
+        for worker in workers:
+            worker.join()
+    except BaseException:
+        for worker in workers:
+            worker.kill()
+        raise
+
+
 @contextmanager
 def _signals_blocked() -> Iterator[None]:
     """Processes inherit what is blocked: a worker never hears Ctrl-C, and SIGTERM only once it knows what to do with it."""
+    # Python starts this before the first process, and ends with unblocking both.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
@@ -164,7 +186,7 @@ def _death(code: int | None) -> str:
 def _serve(pipe: Connection, do: Callable[[T, Tell], Any], begin: Callable[[], Any] | None, saves: Callable[[T], bool] | None) -> None:
     """A worker's life."""
     global _saving
-    signal.signal(signal.SIGTERM, lambda number, _: interrupts.ask(number))
+    interrupts.hear()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     if begin is not None:
         begin()
@@ -189,21 +211,25 @@ def _serve(pipe: Connection, do: Callable[[T, Tell], Any], begin: Callable[[], A
         finally:
             _saving = False
         try:
-            pipe.send(ended)
+            try:
+                pipe.send(ended)
+            except OSError:
+                raise
+            except Exception as error:  # such a result cannot be sent, and nothing of it has been
+                pipe.send(Ended(error=_travelling(error)))
         except OSError:
             return
 
 
 def _travelling(error: BaseException) -> BaseException:
     """An error as it can be sent: as another where it cannot be made again over there, and with its traceback in words if it is a bug."""
-    if isinstance(error, CudcBenchError | interrupts.Interrupted):
-        return error
-    told = "".join(traceback.format_exception(error))
+    told = None if isinstance(error, CudcBenchError | interrupts.Interrupted) else "".join(traceback.format_exception(error))
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
-        error = RuntimeError(f"{type(error).__name__}: {error}")
-    error.add_note(told)
+        error = RunError(str(error)) if isinstance(error, CudcBenchError) else RuntimeError(f"{type(error).__name__}: {error}")
+    if told is not None:
+        error.add_note(told)
     return error
 
 

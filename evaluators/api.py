@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from cudc_bench import plugins
+from cudc_bench import interrupts, plugins
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.data.reader import FlatEpisodes, load_episodes
@@ -86,6 +86,7 @@ class Run:
     path: Path
 
 
+@interrupts.leave_well()  # also between its stages
 def evaluate(
     algo: str | Sequence[str] = "td3",
     domain: str = "walker",

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from cudc_bench import interrupts
 from cudc_bench.errors import UsageError
 from cudc_bench.options import (
     DomainOption,
@@ -22,6 +23,7 @@ from cudc_bench.options import (
 )
 
 
+@interrupts.leave_well()  # also between two datasets
 def relabel(
     dataset_ids: Annotated[
         list[str] | None, typer.Argument(help="Task-agnostic datasets; by default those of --method and --seeds.")

@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import minari
+import pytest
 
 import cudc_bench
 from cudc_bench.data.reader import verify_fingerprint
@@ -71,27 +73,52 @@ def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
     datasets: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    stopped_with_something_kept(datasets, process)
-    kept = {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))}
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.6)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    with killed_in_the_end(process):
+        stopped_with_something_kept(datasets, process)
+        kept = {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))}
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.6)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert said.splitlines()[-1] == "cudc-bench: error: interrupted."
     assert {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))} == kept
 
 
+@pytest.mark.parametrize("reader", [True, False], ids=["read", "whoever read its output has left, as tee does"])
+def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
+    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    with killed_in_the_end(process):
+        workers = stopped_with_something_kept(datasets, process)
+        assert process.stderr is not None
+        if not reader:
+            process.stderr.close()
+        os.killpg(process.pid, signal.SIGINT)
+        for worker in workers:
+            wait_for(lambda worker=worker: waits_for(worker, signal.SIGTERM), process)
+            os.kill(worker, signal.SIGCONT)
+        said = process.communicate(timeout=60)[1] if reader else ""
+        assert process.wait(60) == 130
+    assert minari.list_local_datasets() == {}
+    assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
+    if reader:
+        where = "random seed {} at step [\\d,]+ of 60,000"
+        line = f"cudc-bench: error: interrupted: {where.format(1)}, {where.format(2)}; the same command continues from there."
+        assert re.fullmatch(line, said.splitlines()[-1])
+
+
 def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
     process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    first, second = stopped_with_something_kept(datasets, process)
-    os.kill(first, signal.SIGKILL)
-    wait_for(lambda: waits_for(second, signal.SIGTERM), process)
-    os.kill(second, signal.SIGCONT)
-    _, said = process.communicate(timeout=300)
+    with killed_in_the_end(process):
+        first, second = stopped_with_something_kept(datasets, process)
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: waits_for(second, signal.SIGTERM), process)
+        os.kill(second, signal.SIGCONT)
+        _, said = process.communicate(timeout=300)
     assert process.returncode == 1
-    assert said.splitlines()[-1] == ("cudc-bench: error: a worker process died (killed, or out of memory); run the same command again.")
+    death = "a worker process died (SIGKILL, perhaps out of memory)"
+    assert said.splitlines()[-1] == f"cudc-bench: error: {death}; run the same command again."
     assert "Traceback" not in said
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
@@ -142,10 +169,25 @@ def stopped_with_something_kept(datasets: Path, process: subprocess.Popen) -> li
             if name not in stopped and any((datasets / "walker" / f".{name}.building").rglob("*.pt")):
                 stopped[name] = int((datasets / "walker" / f".{name}.lock").read_text().split()[0])
                 os.kill(stopped[name], signal.SIGSTOP)
-        return len(stopped) == 2
+        # A later signal could overtake this one.
+        return len(stopped) == 2 and all("State:\tT" in Path(f"/proc/{one}/status").read_text() for one in stopped.values())
 
     wait_for(both, process)
     return list(stopped.values())
+
+
+@contextmanager
+def killed_in_the_end(process: subprocess.Popen) -> Iterator[None]:
+    """With its workers, which leave by themselves if they are not stopped."""
+    try:
+        yield
+    finally:
+        if process.poll() is None:
+            for path in Path(f"/proc/{process.pid}/task").glob("*/children"):
+                for child in path.read_text().split():
+                    os.kill(int(child), signal.SIGKILL)
+            process.kill()
+            process.wait()
 
 
 def waits_for(process: int, number: signal.Signals) -> bool:

@@ -29,7 +29,7 @@ from cudc_bench.records import Record, record_path
 
 from .display import Display
 from .jobs import Job
-from .pool import Ended, attempt, into
+from .pool import Outcome, attempt, into
 from .queue import Failure, Queue
 from .work import FOLDER, Common, note_path, remove
 
@@ -74,7 +74,7 @@ class News:
     """
 
     job: Job | None
-    ended: Ended
+    ended: Outcome
     files: dict[str, bytes]
     log: str = ""
     removed: tuple[str, ...] = ()
@@ -178,7 +178,7 @@ def _drive(
             for one in ready:
                 lost = _hear(ray, one, pilots, tasks, take)
                 for job, why in lost:
-                    take(News(job, Ended("left" if asked is not None else "failed", why), {}, why))
+                    take(News(job, Outcome("left" if asked is not None else "failed", why), {}, why))
             display.refresh({})
         if interrupts.requested():
             raise interrupts.interrupted(f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done")
@@ -256,7 +256,7 @@ def _work(
         for job in jobs:
             if bad.intersection(needs[job]):
                 bad.add(job)
-                yield News(job, Ended("failed", "it needs a job that failed"), {})
+                yield News(job, Outcome("failed", "it needs a job that failed"), {})
                 continue
             news = _attempt(job, here)
             if news.ended.how != "done":
@@ -272,7 +272,7 @@ def _work(
             for job in jobs:
                 for place in _made(job, here) if job.kind == "evaluate" else ():
                     (here.output / place).unlink(missing_ok=True)
-        yield News(None, Ended("done"), {}, removed=tuple(removed))
+        yield News(None, Outcome("done"), {}, removed=tuple(removed))
 
 
 @contextmanager
@@ -312,7 +312,7 @@ def _attempt(job: Job, here: Common) -> News:
             ended = attempt(job, here, lambda *_: None)
     files = {place: (here.output / place).read_bytes() for place in _made(job, here)} if ended.how == "done" else {}
     how = "failed" if ended.how == "held" else ended.how
-    return News(job, Ended(how, ended.why), files, log.read_text(errors="replace")[-_LOG:] if how == "failed" else "")
+    return News(job, Outcome(how, ended.why), files, log.read_text(errors="replace")[-_LOG:] if how == "failed" else "")
 
 
 def _made(job: Job, here: Common) -> list[str]:

@@ -38,7 +38,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Ended:
+class Outcome:
     """A job has ended.
 
     Attributes:
@@ -50,7 +50,7 @@ class Ended:
     why: str = ""
 
 
-class Worker:
+class JobWorker:
     """A process for jobs.
 
     Args:
@@ -72,13 +72,13 @@ class Worker:
         """What it is at."""
         return None if self.process.task is None else self.process.task[0]
 
-    def news(self) -> Iterator[Progress | Ended]:
+    def news(self) -> Iterator[Progress | Outcome]:
         """What it has said since it was last asked; a process that died says that its job failed."""
         for message in self.process.news():
             if isinstance(message, workers.Died):
-                yield Ended("failed", f"its process died ({message.how})")
+                yield Outcome("failed", f"its process died ({message.how})")
             elif isinstance(message, workers.Ended):
-                yield message.result if message.error is None else Ended("failed", visible(str(message.error)))
+                yield message.result if message.error is None else Outcome("failed", visible(str(message.error)))
             else:
                 yield message
 
@@ -102,7 +102,7 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _attempt(common: Common, given: tuple[Job, Path], send: workers.Tell) -> Ended:
+def _attempt(common: Common, given: tuple[Job, Path], send: workers.Tell) -> Outcome:
     job, log = given
     last = 0.0
 
@@ -116,25 +116,25 @@ def _attempt(common: Common, given: tuple[Job, Path], send: workers.Tell) -> End
         with into(log):
             return attempt(job, common, tell)
     except OSError as error:
-        return Ended("failed", f"its log {log} cannot be written: {error.strerror or error}")
+        return Outcome("failed", f"its log {log} cannot be written: {error.strerror or error}")
 
 
-def attempt(job: Job, common: Common, tell: Any) -> Ended:
+def attempt(job: Job, common: Common, tell: Any) -> Outcome:
     """Do a job in this process, and say how it went; standard error has when, for how long, and in its last line what went wrong."""
     print(f"# {datetime.now(UTC).isoformat(timespec='milliseconds')}, process {os.getpid()}: {job.name}", file=sys.stderr, flush=True)
     started = time.monotonic()
     try:
         do(job, common, tell)
-        ended = Ended("done")
+        ended = Outcome("done")
     except interrupts.Interrupted as error:
-        ended = Ended("left", visible(error.where))
+        ended = Outcome("left", visible(error.where))
     except HeldError as error:
-        ended = Ended("held", visible(str(error)))
+        ended = Outcome("held", visible(str(error)))
     except CudcBenchError as error:
-        ended = Ended("failed", visible(str(error)))
+        ended = Outcome("failed", visible(str(error)))
     except BaseException as error:
         traceback.print_exc()
-        ended = Ended("failed", visible(f"{type(error).__name__}: {error}"))
+        ended = Outcome("failed", visible(f"{type(error).__name__}: {error}"))
     print(f"# {ended.how} after {time.monotonic() - started:.3f} s", *filter(None, [ended.why]), sep="\n", file=sys.stderr, flush=True)
     return ended
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from cudc_bench import interrupts
 from cudc_bench.errors import RunError
 from cudc_bench.parallel import all_cores
-from cudc_bench.workers import listen
+from cudc_bench.workers import close, listen
 
 from .display import Display, Running, duration, size
 from .jobs import Job, Plan
-from .pool import Ended, Progress, Worker
+from .pool import JobWorker, Outcome, Progress
 from .queue import Failure, Queue
 from .work import Common, finish_removal, made_by, remove
 
@@ -78,7 +78,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     logs = common.folder / "logs"
     running: dict[Job, Running] = {}
     held: dict[Job, float] = {}
-    pool: list[Worker] = []
+    pool: list[JobWorker] = []
     share = max(1, all_cores() // workers)
     left: list[str] = []
 
@@ -86,7 +86,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         for worker in pool:
             worker.process.ask()
 
-    def end(job: Job, ended: Ended) -> None:
+    def end(job: Job, ended: Outcome) -> None:
         one = running.pop(job)
         passed = time.monotonic() - one.started
         if ended.how == "done":
@@ -123,9 +123,9 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
                 display.refresh(running)
                 listen([worker.process for worker in pool], 0.2)
                 for worker in pool:
-                    job = worker.job
-                    for news in worker.news() if job is not None else ():
-                        assert job is not None
+                    if (job := worker.job) is None:
+                        continue
+                    for news in worker.news():
                         if isinstance(news, Progress):
                             running[job].tell(news.done, news.total)
                         else:
@@ -139,23 +139,22 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
                 worker.process.kill()
         raise
     finally:
-        for worker in pool:
-            worker.process.close()
+        close(worker.process for worker in pool)
     return [(failure, logs / f"{(failure.because or failure.job).slug}.log") for failure in queue.failures]
 
 
 def _give_out(
-    queue: Queue, pool: list[Worker], workers: int, share: int, common: Common, running: dict[Job, Running], logs: Path,
+    queue: Queue, pool: list[JobWorker], workers: int, share: int, common: Common, running: dict[Job, Running], logs: Path,
     not_now: list[Job],
 ) -> None:  # fmt: skip
     """Give each worker that is idle a job, as far as there are any; a worker that died is replaced."""
     while len(running) < workers and (job := queue.start(not_now)) is not None:
         for dead in [worker for worker in pool if worker.job is None and not worker.process.lives]:
             pool.remove(dead)
-            dead.process.close()
+            close([dead.process])
         idle = next((worker for worker in pool if worker.job is None), None)
         if idle is None:
-            idle = Worker(share, common)
+            idle = JobWorker(share, common)
             pool.append(idle)
         running[job] = Running(job, time.monotonic(), queue.seconds[job])
         idle.give(job, logs / f"{job.slug}.log")

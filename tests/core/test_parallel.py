@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import time
 from typing import Any
@@ -83,6 +84,11 @@ def test_threads_do_not_depend_on_how_many_jobs_are_left() -> None:
     assert alone == run_jobs(threads, jobs({}, {}), unit="steps", workers=2, threads=None)[:1]
 
 
+class TwoParts(RunError):
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one + two)
+
+
 class Unpicklable(Exception):
     def __init__(self, one: str, two: str) -> None:
         super().__init__(one + two)
@@ -93,6 +99,15 @@ def ends_so(advance: Any, *, how: str) -> str:
         os.kill(os.getpid(), signal.SIGKILL)
     if how == "bug":
         raise Unpicklable("not ", "so")
+    if how == "failure":
+        raise TwoParts("no ", "good")
+    if how == "result":
+        return lambda: None  # type: ignore[return-value]
+    if how == "asked":
+        os.kill(os.getpid(), signal.SIGTERM)
+        with interrupts.leave_well():
+            pass  # a first stage, which did not look
+        return str(interrupts.requested())
     while how == "long" and not interrupts.requested():
         time.sleep(0.01)
     if how == "long":
@@ -103,7 +118,7 @@ def ends_so(advance: Any, *, how: str) -> str:
 def test_a_death_ends_the_others_and_those_that_have_nothing_to_do() -> None:
     """One is at work, one has died, one has done its work."""
     for order in (("short", "long", "killed"), ("killed", "short", "long")):
-        with pytest.raises(RunError, match="a worker process died"):
+        with pytest.raises(RunError, match=r"a worker process died \(SIGKILL, perhaps out of memory\)"):
             run_jobs(ends_so, jobs(*({"how": how} for how in order)), unit="steps", workers=3, threads=1)
 
 
@@ -112,3 +127,22 @@ def test_a_bug_in_a_worker_comes_home_with_its_traceback() -> None:
         run_jobs(ends_so, jobs({"how": "bug"}, {"how": "short"}), unit="steps", workers=2, threads=1)
     assert str(caught.value) == "Unpicklable: not so"
     assert 'raise Unpicklable("not ", "so")' in caught.value.__notes__[0]
+
+
+def test_what_cannot_be_sent_comes_home_in_words() -> None:
+    short = {"how": "short"}
+    with pytest.raises(RunError, match=r"^no good$"):
+        run_jobs(ends_so, jobs({"how": "failure"}, short), unit="steps", workers=2, threads=1)
+    with pytest.raises((AttributeError, pickle.PicklingError), match="lambda"):
+        run_jobs(ends_so, jobs({"how": "result"}, short), unit="steps", workers=2, threads=1)
+
+
+def test_a_request_holds_until_all_stages_are_over() -> None:
+    assert run_jobs(ends_so, jobs({"how": "asked"}, {"how": "short"}), unit="steps", workers=2, threads=1) == ["True", "short"]
+    with interrupts.leave_well():
+        with interrupts.leave_well():
+            interrupts.ask()
+        with pytest.raises(interrupts.Interrupted) as caught:
+            run_jobs(ends_so, jobs({"how": "short"}), unit="steps", workers=1, threads=1)
+    assert caught.value.message == "interrupted; the same command goes on."
+    assert not interrupts.requested()
