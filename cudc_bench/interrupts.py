@@ -41,7 +41,7 @@ class Interrupted(KeyboardInterrupt):
     def message(self) -> str:
         """For people, with what to do."""
         if not self.where:
-            return "interrupted; the same command goes on."
+            return "interrupted before the next run began; the same command continues from there."
         return f"interrupted: {self.where}; the same command continues from there."
 
 

@@ -23,8 +23,9 @@ from cudc_bench.manifest import read_manifest
 from .killing import CALLS
 
 ROOT = Path(__file__).resolve().parent.parent
-COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=30000", "--checkpoint-every", "0"]
-TWO = [*(word.replace("30000", "20000") for word in COLLECT), "--seeds", "1-2", "--workers", "2"]
+RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--checkpoint-every", "0"]
+COLLECT = [*RANDOM, "--set", "steps=30000"]
+TWO = [*RANDOM, "--set", "steps=20000", "--seeds", "1-2", "--workers", "2"]
 
 KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 3}
 

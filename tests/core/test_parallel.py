@@ -144,5 +144,5 @@ def test_a_request_holds_until_all_stages_are_over() -> None:
             interrupts.ask()
         with pytest.raises(interrupts.Interrupted) as caught:
             run_jobs(ends_so, jobs({"how": "short"}), unit="steps", workers=1, threads=1)
-    assert caught.value.message == "interrupted; the same command goes on."
+    assert caught.value.message == "interrupted before the next run began; the same command continues from there."
     assert not interrupts.requested()
