@@ -45,7 +45,9 @@ class CICConfig(DDPGConfig):
 class CIC(DDPG):
     """Learns embeddings in which skills and state changes match, and rewards states that are rare among them.
 
-    As in the authors' code and unlike the paper: the reward is the entropy term alone, without the contrastive one.
+    As in the authors' code and unlike the paper: the reward is the entropy term alone, without the contrastive one, and the distances
+    are between next states. Unlike that code, whose replay is URLB's and pairs an action with the skill of the step after it, an action
+    comes with the skill that it followed.
     """
 
     config_class: ClassVar[type] = CICConfig
