@@ -36,7 +36,10 @@ _STYLED: dict[str, tuple[str, Any]] = {
         (COLOURS["icm"], ("", "cudc-vary-icm")),
         (COLOURS["apt"], ("", "cudc-vary-apt", "apt-k6", "apt-ksched")),
         (_LIGHT, ("cudc-kmax3", "cudc-kmax4", "cudc-no-regularize", "cudc-no-reach", "cudc-uniform-k")),
+        (_LIGHT, ("cudc-live",)),
         (_OWN, ("", "cudc-kmax5", "cudc-reward", "cudc-one-setting", "cudc-kmax6")),
+        (_OWN, ("cudc-stopgrad",)),
+        (_DARK, ("cudc-momentum",)),
         (_DIM, ("cudc-no-entropy", "cudc-no-inverse", "cudc-no-pe", "cudc-reach", "cudc-kmix")),
         (_DARK, ("cudc-kmax8", "cudc-kmax7", "cudc-normal-k", "cudc-no-vary", "cudc-literal")),
     )
