@@ -77,8 +77,12 @@ class APS(DDPG):
         loss = -aligned.mean(1)
         return loss, {"loss_alignment": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        features: Tensor = self.features(observation)
+        return features
+
     def reward(self, batch: Batch) -> Tensor:
-        config, features = self.config, self.features(batch.next_observation)
+        config, features = self.config, self.represent(batch.next_observation)
         distances = neighbour_distances(features, config.neighbours, config.knn_exclude_self)
         self.moments.add(distances)
         entropy = normalised_entropy_reward(distances, self.moments.mean, config.distance_floor)

@@ -107,6 +107,10 @@ class Collector(ABC):
         """Called before the action at each step t of an episode; the skills (E, K) that the next actions follow."""
         raise NotImplementedError(f"{type(self).__name__} has no skills")
 
+    def represent(self, observation: Tensor) -> Tensor | None:
+        """The features (E, B, D) of observations (E, B, S) in which the method rewards; None if it rewards in none of its own."""
+        return None
+
     @abstractmethod
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:
         """Actions (E, A) in [-1, 1] for observations (E, S); deterministic without ``explore``."""

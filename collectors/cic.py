@@ -86,9 +86,13 @@ class CIC(DDPG):
         loss = (others.logsumexp(-1) - own).mean(1)
         return loss, {"loss_contrastive": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        features: Tensor = self.state_network(observation)
+        return features
+
     def reward(self, batch: Batch) -> Tensor:
         config = self.config
-        distances = neighbour_distances(self.state_network(batch.next_observation), config.neighbours, config.knn_exclude_self)
+        distances = neighbour_distances(self.represent(batch.next_observation), config.neighbours, config.knn_exclude_self)
         self.moments.add(distances)
         scale = self.moments.variance if config.normalise_by == "variance" else self.moments.variance.sqrt()
         return normalised_entropy_reward(distances, scale, config.distance_floor)

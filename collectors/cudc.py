@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from cudc_bench.manifest import suspect_limits
 from cudc_bench.neighbours import neighbour_distances
 from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
 from cudc_bench.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
+from .representation import action_share, effective_rank, spread
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,10 @@ class CUDCConfig(DDPGConfig):
         c_w, c_k: k grows when more than the share c_k of a minibatch has w < c_w.
         momentum_tau: rate of the momentum copies (the paper names none; CCLF, CURL and ProtoRL use 0.05).
         temperature: of the contrastive logits.
-        keys: among how many futures each tuple has to find its own, for w: the minibatch's and, where those are fewer, the keys of the
-            minibatches before it, as they were then (He et al. 2020 keep such a queue). C_w was stated for minibatches of 1,024, and w
-            falls with their size. L_reach has the minibatch's futures alone.
+        keys: among how many futures each tuple has to find its own, for w: the minibatch's (None, the paper's definition), or this many,
+            the rest being keys of the minibatches before it, as they were then (He et al. 2020 keep such a queue). C_w was stated for
+            minibatches of 1,024, and w falls with their size: 1024 keeps its meaning in smaller ones. L_reach always has the
+            minibatch's futures alone.
         w_init: start of W, uniform [0, 1) as CURL, or a scaled identity, which learns faster.
         loss_weights: of L_fwd, L_bwd, L_k and L_reach.
         state_target: what L_fwd predicts: z' with its gradient (URLB's APT does so), without it, or the momentum encoder's.
@@ -83,7 +85,7 @@ class CUDCConfig(DDPGConfig):
     c_k: Fraction = 0.5
     momentum_tau: Fraction = 0.05
     temperature: PositiveFloat = 1.0
-    keys: PositiveInt = 1024
+    keys: PositiveInt | None = field(default=None, metadata=LATER)
     w_init: Literal["uniform", "scaled_identity"] = "uniform"
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0, 1.0, 1.0)
     state_target: Literal["live", "stopgrad", "momentum"] = "live"
@@ -208,7 +210,7 @@ class CUDC(DDPG):
         device = self.device
         self.register_buffer("in_a_row", torch.zeros(members, dtype=torch.int64, device=device))
         self.register_buffer("last_change", torch.zeros(members, dtype=torch.int64, device=device))
-        older = max(config.keys - config.batch_size, 0) if config.reach else 0
+        older = max((config.keys or 0) - config.batch_size, 0) if config.reach else 0
         self.register_buffer("older_keys", torch.zeros(members, older, config.projection_dim, device=device))
         self.register_buffer("keys_seen", torch.zeros((), dtype=torch.int64, device=device))
         # One row for each possible increment: number of the update, p and the signal's mean at that moment.
@@ -299,6 +301,9 @@ class CUDC(DDPG):
         return total, {name: loss.detach() for name, loss in losses.items()}
 
     # Reward, weight, horizon
+
+    def represent(self, observation: Tensor) -> Tensor | None:
+        return None if self.config.encoder == "none" else self.state_encoder(observation)
 
     def reward(self, batch: Batch) -> Tensor:
         if self.config.reward_after_update:
@@ -392,8 +397,8 @@ class CUDC(DDPG):
         found = {"surprise": f["surprise"].mean(1), "step_norm": (f["z_next"] - f["z"]).norm(dim=-1).mean(1)}
         # 1 and above: the forward model is no better than the prediction that nothing changes.
         found["error_over_persistence"] = found["surprise"] / found["step_norm"]
-        if config.encoder != "none":
-            found |= {"effective_rank": effective_rank(self.state_encoder(self.probe)), "state_spread": spread(f["z"])}
+        if (probed := self.represent(self.probe)) is not None:
+            found |= {"effective_rank": effective_rank(probed), "state_spread": spread(f["z"])}
         if config.action_encoder:
             found |= {"action_norm": f["action"].norm(dim=-1).mean(1), "action_spread": spread(f["action"])}
             if config.entropy:
@@ -431,31 +436,3 @@ class CUDC(DDPG):
             early = bool(steps) and (steps[0] < starts or (at_bound and steps[-1] - steps[0] <= ends))
             found.append({"k_increments": changes, "k_schedule_suspect": early})
         return found
-
-
-def effective_rank(features: Tensor) -> Tensor:
-    """exp of the entropy of the normalised singular values (Roy and Vetterli 2007) around the mean: (E, B, D) -> (E,).
-
-    Around the mean, since a common offset is one large singular value that says nothing of how points differ. Equal points have rank 1.
-    """
-    singular = torch.linalg.svdvals(features - features.mean(1, keepdim=True))
-    share = singular / singular.sum(-1, keepdim=True).clamp(min=torch.finfo(singular.dtype).tiny)
-    return torch.special.entr(share).sum(-1).exp()
-
-
-def spread(features: Tensor) -> Tensor:
-    """Root of the total variance over the minibatch: (E, B, D) -> (E,)."""
-    return features.std(1).norm(dim=-1)
-
-
-def action_share(state: Tensor, action: Tensor, neighbours: int) -> Tensor:
-    """The actions' part (E,) of the squared distances between neighbours in the joint space, of 0 to 1.
-
-    Args:
-        state, action: (E, B, D) and (E, B, D'), side by side the points of the state-action entropy.
-        neighbours: how many of each point's nearest ones count; the point itself, at distance 0, adds nothing.
-    """
-    parts = [torch.cdist(one, one).square() for one in (state, action)]
-    nearest = (parts[0] + parts[1]).topk(neighbours, dim=-1, largest=False).indices
-    of_state, of_action = (part.gather(2, nearest).sum((1, 2)) for part in parts)
-    return of_action / (of_state + of_action).clamp(min=torch.finfo(of_state.dtype).tiny)

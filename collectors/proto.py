@@ -101,9 +101,12 @@ class Proto(DDPG):
         loss = -(q * log_p).sum(-1).mean(1)
         return loss, {"loss_assignment": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        return F.normalize(self.predictor(observation), dim=-1)
+
     def reward(self, batch: Batch) -> Tensor:
         self.normalise_prototypes()
-        y = F.normalize(self.predictor(batch.next_observation), dim=-1)
+        y = self.represent(batch.next_observation)
         self._remember(y)
         nearest = neighbour_distances(y, self.config.neighbours, among=self.queue)
         return nearest.amax(-1)

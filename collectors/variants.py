@@ -99,10 +99,14 @@ class NoVary(CUDC):
 
 
 class NoReach(CUDC):
-    """Without the reachability module, and so without weights; k grows with the share of small forward errors."""
+    """Without the reachability module, and so without weights; k grows with the share of small forward errors.
+
+    The forward model's target has no gradient here: with it nothing keeps the encoder from shrinking z to a point, and the ablation
+    would measure that.
+    """
 
     family = "CUDC less a part"
-    values: ClassVar[Values] = {"reach": False, "regularize": False, "k_rule": "error"}
+    values: ClassVar[Values] = {"reach": False, "regularize": False, "state_target": "stopgrad", "k_rule": "error"}
 
 
 class NoInverse(CUDC):

@@ -158,7 +158,7 @@ def test_reward(row):
 
 
 def test_weights_of_critic_and_actor(row):
-    c = make(row.name, clip_low=0.9, clip_high=0.98, keys=32)  # as many as the minibatch has
+    c = make(row.name, clip_low=0.9, clip_high=0.98)
     batch = batch_for(c, measure=True)
     f = c.features(batch)
     metrics, seen, _ = watch(c, batch)
