@@ -44,6 +44,18 @@ def perturb(module: nn.Module, scale: float, seed: int) -> None:
             parameter.add_(scale * torch.randn(parameter.shape, generator=generator))
 
 
+def assert_same(found: Tensor, expected: Tensor, what: str) -> None:
+    """Compare two versions of one tensor that were computed in float64, up to 1e-8 of its largest number.
+
+    Sums in another order differ by some 1e-15 of it. Two things make more of that: Adam divides a gradient by its size, but by no less than
+    1e-8, so that where it is nearly 0, another rounding moves the weight by up to 1e-8 of the learning rate; and terms may be large that
+    cancel, such as those of a log-density whose deviation is e^-10. No more than 1e-9 was seen.
+    """
+    assert found.dtype == expected.dtype == torch.float64, f"{what} is {found.dtype}, and should be float64"
+    bound = 1e-8 * float(expected.abs().max())
+    torch.testing.assert_close(found, expected, rtol=0.0, atol=bound, msg=lambda text: f"{what} differs. {text}")
+
+
 # Networks
 
 
@@ -120,10 +132,14 @@ class Member:
         e: which member.
         trained: the names of what each optimiser trains, by the optimiser's name.
         rate: the learning rate of all of them.
+
+    Attributes:
+        branches: which outcomes the conditions given to :meth:`branch` have had.
     """
 
     def __init__(self, learner: Any, e: int, trained: Mapping[str, Sequence[str]], rate: float) -> None:
         self.e = e
+        self.branches: dict[str, set[bool]] = {}
         self._places: dict[str, tuple[str, int, Tensor]] = {}  # by label: the stacked parameter's name, this one's row in it, this one
         for name, module in learner.named_children():
             networks = self._take(name, module, len(learner.seeds))
@@ -157,6 +173,11 @@ class Member:
         self._places[label] = (path, row, leaf)
         return leaf
 
+    def branch(self, condition: Tensor, what: str) -> Tensor:
+        """The condition itself, noted: data for which it is always or never true do not tell a formula's one branch from its other."""
+        self.branches.setdefault(what, set()).update(condition.unique().tolist())
+        return condition
+
     def normal(self, *shape: int, purpose: str = "noise") -> Tensor:
         """Standard normal noise."""
         return torch.empty(shape).normal_(generator=self._generators[purpose])
@@ -166,7 +187,7 @@ class Member:
         drawn = torch.empty(shape, dtype=dtype).uniform_(generator=self._generators[purpose])
         return drawn.to(torch.get_default_dtype())
 
-    def assert_equals(self, learner: Any, when: str, rtol: float = 1e-9, atol: float = 1e-13) -> None:
+    def assert_equals(self, learner: Any, when: str) -> None:
         """Compare with the stack: weights and slow copies, and of what is trained its last gradient and both of Adam's moments.
 
         Adam divides by the size of gradients, so that a wrong factor in a loss shows in the moments and hardly in weights.
@@ -174,7 +195,6 @@ class Member:
         Args:
             learner: the stack that this member was taken out of, after the same updates.
             when: for the message of what differs.
-            rtol, atol: of float64.
         """
         stacked = dict(learner.named_parameters())
         states: dict[Tensor, Any] = {}
@@ -183,9 +203,7 @@ class Member:
         adams = {id(weight): (adam, i) for adam in self.adam.values() for i, weight in enumerate(adam.weights)}
 
         def compare(what: str, theirs: Tensor, ours: Tensor) -> None:
-            torch.testing.assert_close(
-                plain(theirs), ours, rtol=rtol, atol=atol, msg=lambda text: f"{when}, member {self.e}: {what} differs. {text}"
-            )
+            assert_same(plain(theirs), ours, f"{when}, member {self.e}: {what}")
 
         for label, (path, row, weight) in self._places.items():
             parameter = stacked[path]

@@ -1,4 +1,4 @@
-"""TD3 against NumPy, on a problem whose answer is known, and on a small Walker dataset."""
+"""TD3 on a problem whose answer is known and on a small Walker dataset, and the arena that evaluates it."""
 
 import math
 
@@ -12,51 +12,7 @@ from cudc_bench.evaluators.loop import Arena, run_evaluation
 from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.replay import Batch
 
-from .helpers import batch_for, make, random_walker_data
-
-
-def layers(parameters, x):
-    """Trunk (Linear, LayerNorm, tanh), hidden layer (ReLU) and output, by hand."""
-    p = [parameter.astype(np.float64) for parameter in parameters]
-    x = x @ p[0] + p[1]
-    x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-5) * p[2] + p[3]
-    return np.maximum(np.tanh(x) @ p[4] + p[5], 0) @ p[6] + p[7]
-
-
-def policy(agent, s):
-    return np.tanh(layers([p.detach().numpy()[0] for p in agent.actor.parameters()], s))
-
-
-def values(critic, s, a):
-    """Both critics' values: their trunks are separate, one after the other on the leading axis."""
-    both = [[p.detach().numpy()[twin] for p in critic.parameters()] for twin in range(2)]
-    return np.concatenate([layers(p, np.concatenate([s, a], -1)) for p in both], -1)
-
-
-def test_losses_equal_the_formulas():
-    agent = make(noise_std=0.0)
-    for step in range(5):
-        agent.update(batch_for(agent, seed=step))
-    batch = batch_for(agent, seed=9, measure=True)
-    s, a, following, r = (x[0].numpy().astype(np.float64) for x in (batch.observation, batch.action, batch.next_observation, batch.reward))
-    y = r + 0.99 * values(agent.target_critic, following, policy(agent, following)).min(-1)
-    q = values(agent.critic, s, a)
-    critic_loss = ((q - y[:, None]) ** 2).mean(0).sum()
-    old = [p.clone() for p in agent.target_critic.parameters()]
-    own = policy(agent, s)
-    metrics = agent.update(batch)
-    assert metrics["critic_loss"].item() == pytest.approx(critic_loss, rel=1e-4)
-    assert metrics["q"].item() == pytest.approx(q.mean(), rel=1e-4)
-    assert metrics["actor_loss"].item() == pytest.approx(-values(agent.critic, s, own).min(-1).mean(), rel=1e-4)
-    for before, online, target in zip(old, agent.critic.parameters(), agent.target_critic.parameters(), strict=True):
-        torch.testing.assert_close(target, 0.99 * before + 0.01 * online)
-
-
-def test_smoothing_noise_is_clipped():
-    agent = make(noise_std=100.0, noise_clip=0.3)
-    mean = agent.actor(torch.zeros(1, 500, 24))
-    offset = (agent.sample(torch.zeros(1, 500, 24)) - mean).detach()
-    assert offset.abs().max() == pytest.approx(0.3, abs=1e-5)
+from .helpers import make, random_walker_data
 
 
 def test_learns_the_best_action_of_a_known_problem():

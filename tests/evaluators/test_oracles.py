@@ -1,0 +1,133 @@
+"""Three updates of every registered offline algorithm equal those of an independent version of its formulas, in float64.
+
+Compared after each of them: all metrics, every weight and slow copy, the gradient of everything that is trained and both of Adam's moments.
+The critics' targets are no metric, but transitions are fewer than a layer is wide: no target can be another without another gradient.
+``python -m tests.mutants`` shows what the comparison notices.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from cudc_bench import plugins
+from cudc_bench.replay import Batch
+from tests.plain import Member, assert_same, doubles, perturb
+
+from .oracles import ORACLES, Transitions
+
+SEEDS = (3, 4)
+# All different, so that no axis is taken for another.
+SIZE, OBSERVATION, ACTION, WIDTH = 12, 5, 3, 16
+SIZES = {"batch_size", "width", "hidden_layers"}  # hyperparameters that are no part of a formula
+OURS = [name for name in plugins.names("evaluators") if "cudc-bench" in plugins.package("evaluators", name)]
+FUJIMOTO = {"target_actor": True, "policy_delay": 2, "maximise": "first", "actor_noise": False}
+# Beside each algorithm as it comes: the settings that change a formula.
+SWITCHES: list[tuple[str, dict[str, Any]]] = [
+    *(("td3", {name: value}) for name, value in FUJIMOTO.items()),
+    ("td3", {"noise_clip": 0.1, "noise_std": 0.4}),
+    ("td3-bc", FUJIMOTO | {"alpha": 0.5}),
+    ("crr", {"weight": "exp"}),
+    ("crr", {"weight": "exp", "largest_weight": 2.0}),
+    ("crr", {"weight": "identity", "value_samples": 4}),
+    ("cql", {"lagrange": True}),
+    ("cql", {"penalty_weight": 0.7, "penalty_samples": 2}),
+    ("cql", {"squash_twice": False}),
+    ("cql", {"sum_log_prob": True}),
+    ("cql-fixed", {"lagrange": True, "penalty_target": 1.0}),
+    ("iql", {"schedule_steps": 2}),  # the third step is beyond
+    ("iql", {"expectile": 0.9, "beta": 10.0, "largest_weight": 5.0}),
+    ("rebrac", {"policy_delay": 1, "actor_penalty": 0.3, "critic_penalty": 0.2}),
+    ("rebrac", {"hidden_layers": 2}),
+]
+CASES = [*((name, {}) for name in OURS), *SWITCHES]
+
+
+def title(case: tuple[str, dict[str, Any]]) -> str:
+    name, settings = case
+    return name + "".join(f" {key}={value}" for key, value in settings.items())
+
+
+def stack(name: str, settings: dict[str, Any]) -> Any:
+    """Two members whose weights are nothing special, and whose slow copies, at first exact, are far from what they copy."""
+    kind = plugins.load("evaluators", name)
+    learner = kind(OBSERVATION, ACTION, kind.configure({"width": WIDTH}, settings), SEEDS)
+    for network, module in learner.named_children():
+        if network.startswith("target_"):
+            online = dict(getattr(learner, network.removeprefix("target_")).named_parameters())
+            assert all(torch.equal(copy, online[path]) and not copy.requires_grad for path, copy in module.named_parameters())
+    perturb(learner, 0.3, seed=1)
+    if name in EXTREMES:
+        with torch.no_grad():
+            EXTREMES[name]({name: list(module.parameters()) for name, module in learner.named_children()}, learner)
+    return learner
+
+
+def crr_extremes(weights: dict[str, list[torch.Tensor]], learner: Any) -> None:
+    weights["critic"][-2].mul_(6.0)  # advantages beyond log 20
+
+
+def cql_extremes(weights: dict[str, list[torch.Tensor]], learner: Any) -> None:
+    weights["actor"][-1][..., ACTION] += 2.0  # the logarithms of deviations on both sides of their bounds, 2 and -10
+    weights["actor"][-1][..., ACTION + 1] -= 10.0
+    learner.log_multiplier[1] += math.log(1e6)
+
+
+def iql_extremes(weights: dict[str, list[torch.Tensor]], learner: Any) -> None:
+    weights["value"][-1].sub_(2.5)  # values on both sides of V, and advantages beyond log 100 / 3
+    learner.log_std[..., 0] += 2.0
+
+
+# So that both sides of every bound and every sign are met.
+EXTREMES = {"crr": crr_extremes, "cql": cql_extremes, "cql-fixed": cql_extremes, "iql": iql_extremes}
+
+
+def batch(seed: int, reads: frozenset[str]) -> tuple[Batch, list[Transitions]]:
+    """A minibatch for the stack, and each member's part of it; what must not be read is NaN."""
+    generator = torch.Generator().manual_seed(seed)
+    members = len(SEEDS)
+    drawn = {
+        "s": torch.randn(members, SIZE, OBSERVATION, generator=generator),
+        "a": torch.rand(members, SIZE, ACTION, generator=generator) * 2 - 1,
+        "s_next": torch.randn(members, SIZE, OBSERVATION, generator=generator),
+        # Far from what critics expect: beside a penalty of weight 1e6, whose part in the last bias cancels to nothing, errors stay visible.
+        "r": 10.0 * torch.rand(members, SIZE, generator=generator),
+        "a_next": torch.rand(members, SIZE, ACTION, generator=generator) * 2 - 1,
+    }
+    drawn = {name: value if name in reads else torch.full_like(value, math.nan) for name, value in drawn.items()}
+    of_members = [Transitions(**{name: value[e] for name, value in drawn.items()}) for e in range(members)]
+    horizon = torch.ones(members, dtype=torch.int64)
+    stacked = Batch(drawn["s"], drawn["a"], drawn["s_next"], horizon, drawn["r"], measure=True, next_action=drawn["a_next"])
+    return stacked, of_members
+
+
+@pytest.mark.parametrize("case", CASES, ids=title)
+def test_three_updates_equal_the_formulas(case: tuple[str, dict[str, Any]]) -> None:
+    name, settings = case
+    assert name in ORACLES, f"'{name}' has no oracle: write its update in tests/evaluators/oracles.py, on plain tensors, from its paper"
+    oracle = ORACLES[name]
+    with doubles():
+        learner = stack(name, settings)
+        # The oracle's own values are those of the specification: every default is one of them, and every one has a part in the formulas.
+        values = {**oracle.values, **settings}
+        assert values == {key: value for key, value in vars(learner.config).items() if key in settings or key not in SIZES}
+        v = SimpleNamespace(**values)
+        members = [Member(learner, e, oracle.trained, v.learning_rate) for e in range(len(SEEDS))]
+        for n in (1, 2, 3):
+            stacked, of_members = batch(n, oracle.reads)
+            metrics = learner.update(stacked)
+            for e, member in enumerate(members):
+                expected = oracle.update(member, of_members[e], v, n)
+                assert metrics.keys() == expected.keys()
+                for key, found in metrics.items():
+                    assert_same(found[e], expected[key].detach(), f"update {n}, member {e}: {key}")
+                member.assert_equals(learner, f"update {n}")
+        observation = torch.randn(len(SEEDS), 7, OBSERVATION, generator=torch.Generator().manual_seed(9))
+        for e, member in enumerate(members):
+            assert_same(learner.act(observation)[e], oracle.act(member, observation[e], v).detach(), "the evaluated action")
+    branches = {what: set().union(*(member.branches[what] for member in members)) for what in members[0].branches}
+    assert all(seen == {False, True} for seen in branches.values()), f"one side of a bound is never met: {branches}"
