@@ -9,7 +9,7 @@ DEMO := $(CURDIR)/demo
 KILLS ?= 200
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format screenshots bench torture wheel-check clean
+.PHONY: help setup demo test lint format screenshots bench torture mutants wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -55,6 +55,9 @@ bench: setup  ## Measure speed as ratios and print a table; see benchmarks/READM
 torture: setup  ## Kill real runs 200 times and compare what comes out: about ten minutes.
 	@for what in collect "collect with skills" evaluate relabel pilot; do \
 		echo "$$what"; OMP_NUM_THREADS=1 $(BIN)/python -m tests.killing "$$what" $(KILLS) 2> /dev/null || exit 1; done
+
+mutants: setup  ## Change formulas in copies of the package, and say which changes their tests notice.
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants
 
 wheel-check: setup  ## Build the wheel, install it into an empty environment elsewhere, run the three calls there.
 	BIN=$(CURDIR)/$(BIN) ./.ci/wheel-check

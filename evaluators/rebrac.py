@@ -46,7 +46,9 @@ class ReBRAC(OfflineLearner):
 
     The next action of the data is part of the critics' target, so that the last transition of an episode, which has none, is never drawn.
     As in the authors' code: the squared distance is summed over the action's dimensions, values are divided by their mean size in the
-    actor's loss, biases start at 0.1, and the last layers near 0.
+    actor's loss, biases start at 0.1, and the last layers near 0. Unlike it, and like TD3: the actor first moves in the second update, and
+    its slow copy follows what it became, not what it was. LayerNorm's ε is PyTorch's 1e-5 (theirs is 1e-6), and next actions stay 1e-6
+    inside the bounds.
     """
 
     config_class: ClassVar[type] = ReBRACConfig

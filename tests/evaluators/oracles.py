@@ -1,7 +1,7 @@
-"""What every offline algorithm computes, one member and one formula at a time, as its paper and spec.md (§2, §6, §7) have it.
+"""What every offline algorithm computes, one member and one formula at a time, as its paper and the code that it follows have it.
 
 An oracle changes one :class:`~tests.plain.Member` as one gradient step on one minibatch does, and returns the metrics. Hyperparameters are
-written down here again, from the specification, so that a default that changes is noticed as well. Each loss is a mean over the batch.
+written down here again, so that a default that changes is noticed as well. Each loss is a mean over the batch.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Oracle:
     reads: frozenset[str] = frozenset({"s", "a", "s_next", "r"})
 
 
-# ExORL's networks: actors and critics with trunks of their own (§6)
+# ExORL's networks: actors and critics with trunks of their own
 
 
 def mean_action(actor: Weights, s: Tensor) -> Tensor:
@@ -96,7 +96,7 @@ def bc(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     return {"actor_loss": loss}
 
 
-# TD3 (Fujimoto et al. 2018, algorithm 1) and TD3+BC, with what ExORL's code does otherwise as switches (§7, rows 1 and 16)
+# TD3 (Fujimoto et al. 2018, algorithm 1) and TD3+BC, with what ExORL's code does otherwise as switches
 
 TD3 = EXORL | {"target_actor": False, "policy_delay": 1, "maximise": "min", "actor_noise": True}
 
@@ -165,7 +165,7 @@ def crr(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     return metrics | {"actor_loss": loss, "advantage": advantage.mean(), "weight": weight.mean()}
 
 
-# CQL (Kumar et al. 2020) on soft actor-critic, as ExORL has it (§6; §7, rows 5 and 6)
+# CQL (Kumar et al. 2020) on soft actor-critic, as ExORL has it and put right
 
 
 def squashed(m: Member, s: Tensor, noise: Tensor, v: Any) -> tuple[Tensor, Tensor]:
@@ -249,6 +249,7 @@ def iql(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     u = u.detach()
     weight = torch.exp(v.beta * u)
     weight = torch.where(m.branch(weight > v.largest_weight, "a weight at its bound"), v.largest_weight, weight)
+    m.branch(m.log_std < -20, "a deviation at its lower bound")
     m.branch(m.log_std > 2, "a deviation at its upper bound")
     policy = Normal(torch.tanh(mlp(m.actor, b.s)), torch.exp(torch.clamp(m.log_std, -20.0, 2.0)))
     actor_loss = -(weight * policy.log_prob(b.a).sum(-1)).mean()

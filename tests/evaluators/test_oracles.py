@@ -29,7 +29,7 @@ FUJIMOTO = {"target_actor": True, "policy_delay": 2, "maximise": "first", "actor
 # Beside each algorithm as it comes: the settings that change a formula.
 SWITCHES: list[tuple[str, dict[str, Any]]] = [
     *(("td3", {name: value}) for name, value in FUJIMOTO.items()),
-    ("td3", {"noise_clip": 0.1, "noise_std": 0.4}),
+    *((name, {"noise_std": 0.6}) for name in ("td3", "td3-fujimoto", "rebrac")),  # noise on both sides of its bound
     ("td3-bc", FUJIMOTO | {"alpha": 0.5}),
     ("crr", {"weight": "exp"}),
     ("crr", {"weight": "exp", "largest_weight": 2.0}),
@@ -79,7 +79,8 @@ def cql_extremes(weights: dict[str, list[torch.Tensor]], learner: Any) -> None:
 
 def iql_extremes(weights: dict[str, list[torch.Tensor]], learner: Any) -> None:
     weights["value"][-1].sub_(2.5)  # values on both sides of V, and advantages beyond log 100 / 3
-    learner.log_std[..., 0] += 2.0
+    learner.log_std[..., 0] += 2.0  # deviations on both sides of their bounds, e^2 and e^-20, the latter in one member alone
+    learner.log_std[1, ..., 1] -= 21.0
 
 
 # So that both sides of every bound and every sign are met.
@@ -112,7 +113,7 @@ def test_three_updates_equal_the_formulas(case: tuple[str, dict[str, Any]]) -> N
     oracle = ORACLES[name]
     with doubles():
         learner = stack(name, settings)
-        # The oracle's own values are those of the specification: every default is one of them, and every one has a part in the formulas.
+        # The oracle has its own defaults, and lacks no hyperparameter.
         values = {**oracle.values, **settings}
         assert values == {key: value for key, value in vars(learner.config).items() if key in settings or key not in SIZES}
         v = SimpleNamespace(**values)
@@ -120,6 +121,7 @@ def test_three_updates_equal_the_formulas(case: tuple[str, dict[str, Any]]) -> N
         for n in (1, 2, 3):
             stacked, of_members = batch(n, oracle.reads)
             metrics = learner.update(stacked)
+            assert all(found.shape == (len(SEEDS),) for found in metrics.values())
             for e, member in enumerate(members):
                 expected = oracle.update(member, of_members[e], v, n)
                 assert metrics.keys() == expected.keys()
