@@ -124,7 +124,7 @@ class Running:
 def running(m: Explorer, values: Tensor) -> Running:
     """The member's statistics, with these values added."""
     moments: Running = m.kept.setdefault("moments", Running())
-    moments.add(values)
+    moments.add(values.detach())
     m.kept |= {"moments.mean": moments.mean, "moments.variance": moments.variance, "moments.weight": moments.weight}
     return moments
 
@@ -479,9 +479,10 @@ def forward_pass(m: Explorer, b: Sample, parts: Parts, ks: list[int], temperatur
     if momentum:
         f["m(s')"] = phi_s("momentum_encoder", b.s_next).detach()
     if parts.reach:
-        c = projected(m.momentum_projection, f["m(s')"]).detach()
+        f["c"] = projected(m.momentum_projection, f["m(s')"]).detach()
         # As a layer of the network it would be W transposed.
-        f["S"] = projected(m.projection, z_hat) @ m.similarity.T @ c.T / temperature
+        f["qᵀW"] = projected(m.projection, z_hat) @ m.similarity.T / temperature
+        f["S"] = f["qᵀW"] @ f["c"].T
     return f
 
 
@@ -500,13 +501,20 @@ def cudc_losses(f: dict[str, Tensor], b: Sample, parts: Parts, first_k: int, sta
     return losses
 
 
-def curiosity(scores: Tensor, keys: int | None) -> Tensor:
-    """w = 1 - l (spec 3.5), where the minibatch's negatives stand for that many keys less one; none: for as many as they are."""
+def curiosity(m: Explorer, f: dict[str, Tensor], keys: int) -> Tensor:
+    """w = 1 - l (spec 3.5) in a search among the minibatch's keys and, up to that many in all, the last ones before it, as they were."""
+    capacity = max(keys - len(f["c"]), 0)
+    queue = m.kept.setdefault("older_keys", torch.zeros(capacity, f["c"].shape[1]))
+    seen = m.kept.setdefault("keys_seen", 0)
     rows = []
-    for i, row in enumerate(torch.exp(scores - scores.max(dim=1, keepdim=True).values)):
-        others = torch.cat([row[:i], row[i + 1 :]])
-        against = others.sum() if keys is None else others.mean() * (keys - 1)
-        rows.append(against / (row[i] + against))
+    for i, row in enumerate(f["S"]):
+        others = torch.cat([row[:i], row[i + 1 :], queue[:seen] @ f["qᵀW"][i]])
+        largest = torch.maximum(row[i], others.max())
+        own, against = torch.exp(row[i] - largest), torch.exp(others - largest).sum()
+        rows.append(against / (own + against))
+    for key in f["c"][:capacity]:
+        queue[m.kept["keys_seen"] % capacity] = key
+        m.kept["keys_seen"] += 1
     return torch.stack(rows)
 
 
@@ -538,7 +546,7 @@ def cudc(
     c_e: float | None = None,
     momentum_tau: float = 0.05,
     temperature: float = 1.0,
-    keys: int | None = None,
+    keys: int = 1024,
     loss_weights: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
     state_target: str = "live",
     action_target: str = "stopgrad",
@@ -568,10 +576,10 @@ def cudc(
         r_h = torch.log(1 + nearest(points, neighbours, without_self=knn_exclude_self).mean(1))
     terms = {"r_H": r_h, "α r_E": alpha * r_e, "log(1 + r_E)": torch.log(1 + r_e), "β": torch.full_like(r_e, beta)}
     reward = sum(terms[name] for name in parts.reward)
-    w = curiosity(f["S"], keys) if parts.reach else None
+    w = curiosity(m, f, keys) if parts.reach else None
     unclipped = w / w.mean() if weight_mode == "mean_normalised" and w is not None else w
     weight = torch.clamp(unclipped, clip_low, clip_high) if parts.weighted else None
-    metrics = losses | diagnostics(m, b, parts, f, r_e, r_h, w)
+    metrics = losses | diagnostics(m, b, parts, f, r_e, r_h, w, neighbours)
     if r_h is not None and "α r_E" in parts.reward:
         metrics["surprise_share"] = alpha * r_e.mean() / r_h.mean()
     if parts.weighted:
@@ -601,27 +609,50 @@ def cudc(
 
 
 def diagnostics(
-    m: Explorer, b: Sample, parts: Parts, f: dict[str, Tensor], r_e: Tensor, r_h: Tensor | None, w: Tensor | None
+    m: Explorer, b: Sample, parts: Parts, f: dict[str, Tensor], r_e: Tensor, r_h: Tensor | None, w: Tensor | None, neighbours: int
 ) -> dict[str, Any]:
     """What the collector logs of itself (spec 3.11)."""
     m.kept.setdefault("probe", b.s)
+    if not parts.reach:
+        m.kept |= {"older_keys": torch.zeros(0, 64), "keys_seen": 0}
     found: dict[str, Any] = {"surprise": r_e.mean(), "step_norm": length(f["z'"] - f["z"]).mean()}
+    found["error_over_persistence"] = found["surprise"] / found["step_norm"]
     if r_h is not None:
         found["entropy"] = r_h.mean()
     if parts.phi_a:
-        found |= {"action_norm": length(f["a^z"]).mean(), "action_spread": np.linalg.norm(f["a^z"].numpy().std(0, ddof=1))}
+        found |= {"action_norm": length(f["a^z"]).mean(), "action_spread": spread(f["a^z"])}
+    if parts.phi_a and r_h is not None:
+        found["action_share"] = action_share(f["z"], f["a^z"], neighbours)
     if w is not None:
         quantiles = {"w_q10": 0.1, "w_q25": 0.25, "w_median": 0.5, "w_q75": 0.75, "w_q90": 0.9}
         found |= {"w_mean": w.mean()} | {name: np.quantile(w.numpy(), share) for name, share in quantiles.items()}
         found["retrieved"] = sum(int(row.argmax()) == i for i, row in enumerate(f["S"])) / len(w)
     if parts.encoder is not None:
+        found["state_spread"] = spread(f["z"])
         found["effective_rank"] = effective_rank(encoded(m.state_encoder, parts, m.kept["probe"]).detach())
     return found
 
 
+def spread(x: Tensor) -> float:
+    """Root of the summed variances of all dimensions."""
+    return float(np.linalg.norm(x.numpy().std(0, ddof=1)))
+
+
+def action_share(z: Tensor, a_z: Tensor, neighbours: int) -> float:
+    """How much of the squared distances to the nearest points, of which one is the point itself, lies along the actions."""
+    of_both, of_actions = 0.0, 0.0
+    for point, action in zip(z, a_z, strict=True):
+        along = ((a_z - action) ** 2).sum(1)
+        both = ((z - point) ** 2).sum(1) + along
+        near = both.argsort()[:neighbours]
+        of_both += float(both[near].sum())
+        of_actions += float(along[near].sum())
+    return of_actions / of_both
+
+
 def effective_rank(z: Tensor) -> float:
-    """exp of the entropy of the singular values' shares (Roy and Vetterli 2007)."""
-    values = np.linalg.svd(z.numpy(), compute_uv=False)
+    """exp of the entropy of the singular values' shares (Roy and Vetterli 2007), around the mean."""
+    values = np.linalg.svd(z.numpy() - z.numpy().mean(0), compute_uv=False)
     shares = values / values.sum()
     return math.exp(-sum(share * math.log(share) for share in shares if share > 0))
 
@@ -642,9 +673,7 @@ RELATIVES: dict[str, Parts] = {
     "cudc-uniform-k": Parts(rule="uniform"),
     "cudc-normal-k": Parts(rule="normal"),
     **{f"cudc-kmax{k}": Parts(k_max=k) for k in range(3, 9)},
-    "cudc-one-setting": Parts(),
-    "cudc-literal": Parts(),
-    "cudc-kmix": Parts(),
+    **{name: Parts() for name in ("cudc-one-setting", "cudc-live", "cudc-stopgrad", "cudc-momentum", "cudc-literal", "cudc-kmix")},
 }
 
 ORACLES: dict[str, Callable[..., Found]] = {
@@ -655,5 +684,7 @@ ORACLES: dict[str, Callable[..., Found]] = {
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True),
     "cudc-vary-apt": partial(cudc, parts=RELATIVES["cudc-vary-apt"], beta=0.0, reward_after_update=True),
     "cudc-one-setting": partial(cudc, parts=Parts(), alpha=1e-3, beta=1e-2, clip_low=0.2, clip_high=1.0, c_w=0.02),
+    "cudc-stopgrad": partial(cudc, parts=Parts(), state_target="stopgrad"),
+    "cudc-momentum": partial(cudc, parts=Parts(), state_target="momentum"),
     "cudc-literal": partial(cudc, parts=Parts(), state_target="live", action_target="live"),
 }  # fmt: skip

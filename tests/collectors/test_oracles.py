@@ -28,7 +28,7 @@ SEEDS, SIZE, FEATURES, RATE = (1, 2), 20, 14, 1e-3
 FURTHER = ((0, 2), (1, 0), (3, 2))
 SMALL_SIZES: dict[str, dict[str, Any]] = {"proto": {"prototypes": 8, "queue_size": 16, "projection_hidden": 10}}
 # Values that differ from a method's own, one dictionary for each further run. Those that name a threshold make k grow, but not each time.
-GROWING = {"temperature": 20.0, "c_w": 0.959}
+GROWING = {"temperature": 20.0, "c_w": 0.959, "keys": 20}
 FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
     "icm": [
         {"reward_scale": 2.5, "discount": 0.9, "critic_tau": 0.2},
@@ -56,9 +56,10 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
     "cudc": [
         {"state_target": "stopgrad", "knn_exclude_self": True, "neighbours": 5} | GROWING,
         {"state_target": "momentum", "momentum_tau": 0.3, "alpha": 2.0, "beta": 0.5, "loss_weights": (0.5, 2.0, 3.0, 0.1)},
-        {"action_target": "live", "temperature": 3.0, "td_discount": "gamma"},
+        {"action_target": "live", "temperature": 3.0, "td_discount": "gamma", "keys": 50},
         {"weight_mode": "mean_normalised", "clip_low": 0.99, "clip_high": 1.01, "patience": 2} | GROWING | {"c_w": 0.98},
         {"reward_after_update": True, "min_dwell": 4} | GROWING,
+        {"reward_after_update": True, "keys": 24},
         {"c_k": 0.7, "min_dwell": 1} | GROWING | {"c_w": 0.9715},
         {"horizon": 4, "w_init": "scaled_identity"},
     ],
@@ -80,6 +81,11 @@ SHAPES = {
     "inverse_k_batch",
 }  # fmt: skip
 
+SLOW_COPIES = {
+    "target_critic": "critic", "slow_predictor": "predictor", "momentum_encoder": "state_encoder", "momentum_projection": "projection",
+}  # fmt: skip
+TWO_LAYERS = {"critic.hidden.weight": 2, "encoder.4.weight": 2}  # kept as one; each is orthogonal on its own
+
 AGENT = set(inspect.signature(explore).parameters)
 NAMES = [name for name in plugins.names("collectors") if "cudc-bench" in plugins.package("collectors", name) and name != "random"]
 RUNS = [(name, settings) for name in NAMES for settings in [{}, *FURTHER_RUNS.get(name, [])]]
@@ -93,7 +99,7 @@ def title(run: tuple[str, dict[str, Any]]) -> str:
 def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The values of a run that differ from the method's own."""
     kind, common = plugins.load("collectors", name), dict(SMALL_SIZES.get(name, {}))
-    if "state_target" in kind.configure("walker").__dict__ and name != "cudc-literal":
+    if "state_target" in vars(kind.configure("walker")) and "state_target" not in kind.values:
         common["state_target"] = "live"
     if (threshold := kind.threshold(kind.configure("walker"))) is not None:
         common[threshold] = 0.5
@@ -157,13 +163,14 @@ def compare(collector: Any, seen: dict[str, Tensor | None], metrics: dict[str, T
         assert set(metrics) == set(found.metrics)
     for name, value in metrics.items():
         rel = 1e-6 if value.dtype == torch.float32 else 1e-8  # shares of a minibatch are counted in float32
-        assert value[e].item() == pytest.approx(float(found.metrics[name]), rel=rel), where + name
+        assert value[e].detach().item() == pytest.approx(float(torch.as_tensor(found.metrics[name]).detach()), rel=rel), where + name
     assert collector.horizon[e] == member.k, where + "k"
     assert int(collector.updates) == member.updates
     increments = [{key: pytest.approx(value, rel=1e-6 if key == "p" else 1e-8) for key, value in one.items()} for one in member.increments]
     assert collector.summary()[e].get("k_increments", []) == increments
+    saved = collector.state_dict()["networks"]
     for name, value in collector.named_buffers():
-        if name in collector.state_dict()["networks"] and name not in BOOKKEEPING:
+        if name in saved and name not in BOOKKEEPING:
             expected = torch.as_tensor(member.kept[name], dtype=torch.float64)
             assert_same((value[e] if value.dim() else value).double(), expected, where + name)
     member.assert_equals(collector, when)
@@ -187,7 +194,8 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
             metrics = collector.update(batch)
             assert bool(metrics) == batch.measure
             for member in members:
-                compare(collector, seen, metrics, member, explore(member, sample(batch, member.e), ORACLES[name], own, **agent))
+                found = explore(member, sample(batch, member.e), ORACLES[name], own, **agent)
+                compare(collector, seen, metrics, member, found)
         if set(settings) & {"c_w", "c_r", "c_e"}:
             assert 0 < sum(len(member.increments) for member in members) < len(FURTHER) * len(SEEDS)
         # And then they act: the mean, and around it Gaussian noise that nothing cuts off but the bounds of actions.
@@ -214,6 +222,44 @@ def test_hyperparameters_are_those_of_the_formulas(name: str) -> None:
     }
     assert {key: config[key] for key in written} == written
     assert set(config) <= set(written) | SHAPES
+
+
+def assert_orthogonal(weight: Tensor) -> None:
+    """Columns, or rows where those are fewer, of length 1 at right angles."""
+    tall = weight if len(weight) >= weight.shape[1] else weight.T
+    torch.testing.assert_close(tall.T @ tall, torch.eye(tall.shape[1]), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_networks_start_orthogonal_and_slow_copies_exact(name: str) -> None:
+    """Layers of gain 1 with biases 0, normalisations of scale 1 (spec 2), and three exceptions."""
+    collector = make(name, SEEDS, batch_size=SIZE, feature_dim=FEATURES, **of_a_run(name, {}))
+    weights = dict(collector.named_parameters())
+    for label, weight in weights.items():
+        network, kind = label.split(".")[0], label.split(".")[-1]
+        if network in SLOW_COPIES:
+            assert torch.equal(weight, weights[label.replace(network, SLOW_COPIES[network])])
+            assert not weight.requires_grad
+        elif network == "models":  # PyTorch's own start: uniform within 1 / √inputs
+            assert 0 < weight.abs().max() <= (30 if ".0." in label else 16) ** -0.5
+        elif network == "similarity":
+            assert 0 <= weight.min() < 0.01
+            assert 0.99 < weight.max() < 1
+        elif network == "prototypes":
+            torch.testing.assert_close(weight.detach().norm(dim=-1), torch.ones(weight.shape[:2]))
+        elif weight.shape[1] == 1:
+            assert (weight == (kind == "weight")).all()
+        elif label == "critic.out.weight":  # each head reads its own half
+            for member in weight.detach():
+                (first, none), (nothing, second) = (half.chunk(2, dim=1) for half in member.chunk(2))
+                assert not none.any()
+                assert not nothing.any()
+                assert_orthogonal(first)
+                assert_orthogonal(second)
+        else:
+            for member in weight.detach():
+                for layer in member.chunk(TWO_LAYERS.get(label, 1), dim=1):
+                    assert_orthogonal(layer)
 
 
 @pytest.mark.parametrize("name", NAMES)
