@@ -41,7 +41,8 @@ class APS(DDPG):
     """Rewards rare states and states whose features point along the task vector w.
 
     The critics give successor features: Q_j(s, w, a) = w · ψ_j(s, w, a), learned by temporal differences of the scalar Q, as in URLB.
-    The entropy is of un-normalised features, the task term of normalised ones.
+    The entropy is of un-normalised features, the task term of normalised ones. Unlike URLB, whose replay pairs an action with the task
+    vector of the step after it (another one for a fifth of all samples), an action comes with the vector that it followed.
     """
 
     config_class: ClassVar[type] = APSConfig
@@ -76,8 +77,12 @@ class APS(DDPG):
         loss = -aligned.mean(1)
         return loss, {"loss_alignment": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        features: Tensor = self.features(observation)
+        return features
+
     def reward(self, batch: Batch) -> Tensor:
-        config, features = self.config, self.features(batch.next_observation)
+        config, features = self.config, self.represent(batch.next_observation)
         distances = neighbour_distances(features, config.neighbours, config.knn_exclude_self)
         self.moments.add(distances)
         entropy = normalised_entropy_reward(distances, self.moments.mean, config.distance_floor)

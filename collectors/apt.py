@@ -65,9 +65,13 @@ class APT(DDPG):
         }
         return losses["loss_forward"] + losses["loss_inverse"], {name: loss.detach() for name, loss in losses.items()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        features: Tensor = self.encoder(observation)
+        return features
+
     def distance(self, batch: Batch) -> Tensor:
         """Mean distance (E, B) of each state to its nearest neighbours in the minibatch."""
-        z = self.encoder(batch.observation)
+        z = self.represent(batch.observation)
         return neighbour_distances(z, self.config.neighbours, self.config.knn_exclude_self).mean(-1)
 
     def reward(self, batch: Batch) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from cudc_bench.config import build
+from cudc_bench.profiles import PAPER_STEPS
 from cudc_bench.replay import Batch
 
 
@@ -25,6 +26,7 @@ class Space:
         episode_length: T.
         seed_steps: environment steps of uniformly random actions before the first update.
         update_every: environment steps for each update.
+        steps: environment steps of the whole run; the paper's where nobody says.
     """
 
     domain: str
@@ -33,6 +35,7 @@ class Space:
     episode_length: int
     seed_steps: int
     update_every: int
+    steps: int = PAPER_STEPS
 
 
 class Collector(ABC):
@@ -103,6 +106,10 @@ class Collector(ABC):
     def next_skill(self, t: int) -> Tensor:
         """Called before the action at each step t of an episode; the skills (E, K) that the next actions follow."""
         raise NotImplementedError(f"{type(self).__name__} has no skills")
+
+    def represent(self, observation: Tensor) -> Tensor | None:
+        """The features (E, B, D) of observations (E, B, S) in which the method rewards; None if it rewards in none of its own."""
+        return None
 
     @abstractmethod
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:

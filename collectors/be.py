@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 from torch import Tensor
 
-from cudc_bench.config import PositiveFloat
+from cudc_bench.config import LATER, NonNegativeFloat, PositiveFloat
+from cudc_bench.moments import RunningMoments
+from cudc_bench.networks import MemberRandom, Trained
 from cudc_bench.replay import Batch
 
 from .apt import APT, APTConfig
@@ -19,10 +21,17 @@ class BEConfig(APTConfig):
     """APT's values and the shape of the entropy.
 
     Attributes:
-        alpha: exponent of Prelec's probability weighting; 1 gives Shannon's entropy, and so APT's reward.
+        alpha: exponent of Prelec's probability weighting; 1 gives Shannon's entropy, and so APT's reward while the two switches below
+            are at their defaults.
+        particle_weight: what a particle's -w log w counts with: 1 / p = 1 + R, or R.
+        normalise_by: what divides R: nothing, or the running mean of all R so far.
+        distance_floor: subtracted from R after that; what falls below 0 becomes 0.
     """
 
     alpha: PositiveFloat = 0.5
+    particle_weight: Literal["one_plus_distance", "distance"] = field(default="one_plus_distance", metadata=LATER)
+    normalise_by: Literal["none", "running_mean"] = field(default="none", metadata=LATER)
+    distance_floor: NonNegativeFloat = field(default=0.0, metadata=LATER)
 
 
 class BE(APT):
@@ -33,16 +42,31 @@ class BE(APT):
 
         r = (1 + R) β (log(1 + R))^α exp(-β (log(1 + R))^α),
 
-    which is APT's log(1 + R) for α = 1. The reward is derived here from the definition of the entropy; it was not checked against an
-    implementation by the authors.
+    which is APT's log(1 + R) for α = 1. This is derived here from the definition of the entropy. No code of the authors is public; a
+    third party's, whose comments say that it follows theirs, counts with R in place of 1 + R and divides R by its running mean:
+    ``particle_weight=distance`` and ``normalise_by=running_mean``. For large R both weights agree, for small R theirs behaves as
+    R^(1+α) where this one behaves as R^α; and without the division the scale of the representation moves what α does. Which of the two
+    the paper's results rest on is not known.
     """
 
     config_class: ClassVar[type] = BEConfig
     family = "entropy"
     citation = "Suttle et al. 2025"
 
+    def build(self, random: MemberRandom) -> list[Trained]:
+        trained = super().build(random)
+        if self.config.normalise_by == "running_mean":
+            self.moments = RunningMoments(random.count, self.device)
+        return trained
+
     def reward(self, batch: Batch) -> Tensor:
-        surprise = self.distance(batch).log1p()  # -log p
-        beta = math.log(self.config.feature_dim) ** (1.0 - self.config.alpha)
-        weighted = beta * surprise.pow(self.config.alpha)  # -log w(p)
-        return (surprise - weighted).exp() * weighted
+        config, distance = self.config, self.distance(batch)
+        if config.normalise_by == "running_mean":
+            self.moments.add(distance)
+            distance = distance / self.moments.mean[:, None]
+        distance = (distance - config.distance_floor).clamp(min=0.0)
+        surprise = distance.log1p()  # -log p
+        beta = math.log(config.feature_dim) ** (1.0 - config.alpha)
+        weighted = beta * surprise.pow(config.alpha)  # -log w(p)
+        count = (-weighted).exp() * weighted
+        return count * (1.0 + distance if config.particle_weight == "one_plus_distance" else distance)

@@ -45,7 +45,9 @@ class CICConfig(DDPGConfig):
 class CIC(DDPG):
     """Learns embeddings in which skills and state changes match, and rewards states that are rare among them.
 
-    As in the authors' code and unlike the paper: the reward is the entropy term alone, without the contrastive one.
+    As in the authors' code and unlike the paper: the reward is the entropy term alone, without the contrastive one, and the distances
+    are between next states. Unlike that code, whose replay is URLB's and pairs an action with the skill of the step after it, an action
+    comes with the skill that it followed.
     """
 
     config_class: ClassVar[type] = CICConfig
@@ -84,9 +86,13 @@ class CIC(DDPG):
         loss = (others.logsumexp(-1) - own).mean(1)
         return loss, {"loss_contrastive": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        features: Tensor = self.state_network(observation)
+        return features
+
     def reward(self, batch: Batch) -> Tensor:
         config = self.config
-        distances = neighbour_distances(self.state_network(batch.next_observation), config.neighbours, config.knn_exclude_self)
+        distances = neighbour_distances(self.represent(batch.next_observation), config.neighbours, config.knn_exclude_self)
         self.moments.add(distances)
         scale = self.moments.variance if config.normalise_by == "variance" else self.moments.variance.sqrt()
         return normalised_entropy_reward(distances, scale, config.distance_floor)

@@ -9,9 +9,10 @@ A package with a collector of its own runs them on it from its own tests::
         method = "re3"
 
 They prove what the collection loop and the manifest promise for a method: sizes in every domain, actions in [-1, 1], repeatable runs,
-members that never see each other, states that can be saved and restored, no use of any reward of the environment, and skills stored
-beside the actions that followed them. Methods with skills are expected to be ``DDPG``s. Nothing is proved about a method's mathematics:
-that takes an independent version of its losses and rewards, for which ``make`` and ``batch_for`` give small stacks and batches.
+members that never see each other, states that can be saved and restored, no use of any reward of the environment, skills stored
+beside the actions that followed them, and a representation that does not collapse. Methods with skills are expected to be ``DDPG``s.
+Nothing is proved about a method's mathematics: that takes an independent version of its losses and rewards, for which ``make`` and
+``batch_for`` give small stacks and batches.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from .base import Collector, Space
 from .ddpg import DDPG
 from .journal import DIAGNOSTICS, Journal
 from .loop import CollectConfig, run_collection
+from .representation import effective_rank, spread
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
 SPACES = {
@@ -90,6 +92,27 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
     return batch
 
 
+def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
+    """Transitions of a small world, one member's: four causes, which turn, fade, and are moved by the actions, seen through a nonlinear
+    mixture with a little noise."""
+    laws, drawn = torch.Generator().manual_seed(7), torch.Generator().manual_seed(seed)
+    space = collector.space
+    mixture, pushes = torch.randn(4, space.observation, generator=laws), torch.randn(space.action, 4, generator=laws)
+    turn = torch.linalg.qr(torch.randn(4, 4, generator=laws)).Q
+    causes, action = torch.randn(1, size, 4, generator=drawn), torch.rand(1, size, space.action, generator=drawn) * 2 - 1
+    following = 0.95 * causes @ turn + 0.5 * action @ pushes
+
+    def seen(causes: Tensor) -> Tensor:
+        return torch.tanh(0.5 * causes @ mixture) + 0.02 * torch.randn(1, size, space.observation, generator=drawn)
+
+    batch = Batch(seen(causes), action, seen(following), collector.horizon)
+    if collector.nearest is not None:
+        batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.nearest)
+    if collector.skill_size:
+        batch.skill = collector.draw_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
+    return batch
+
+
 class _Memory:
     """Keeps what one member collects."""
 
@@ -135,6 +158,22 @@ class CollectorContract:
         torch.set_num_threads(1)
         yield
         torch.set_num_threads(before)
+
+    def test_the_representation_does_not_collapse(self, name: str) -> None:
+        """On states whose few causes move with the actions; what has no ``represent`` cannot tell."""
+        collector = make(name, width=32, feature_dim=16, batch_size=64)
+        probe = lawful_batch(collector, 10**6).observation
+        with torch.no_grad():
+            before = collector.represent(probe)
+        if before is None:
+            return
+        for step in range(250):
+            collector.update(lawful_batch(collector, step))
+        with torch.no_grad():
+            after = collector.represent(probe)
+        kept = float(spread(after) / spread(before))
+        assert kept > 0.15, f"states differ {kept:.1%} as much as at the start"
+        assert (rank := float(effective_rank(after))) > 3, f"states differ in {rank:.2f} directions, and have four causes"
 
     @pytest.mark.parametrize("domain", SPACES)
     @pytest.mark.parametrize("members", [1, 3])

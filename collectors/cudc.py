@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
-from cudc_bench.manifest import ENDS_TOO_EARLY, STARTS_TOO_EARLY
+from cudc_bench.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.manifest import suspect_limits
 from cudc_bench.neighbours import neighbour_distances
 from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
 from cudc_bench.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
+from .representation import action_share, effective_rank, spread
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class CUDCConfig(DDPGConfig):
         c_w, c_k: k grows when more than the share c_k of a minibatch has w < c_w.
         momentum_tau: rate of the momentum copies (the paper names none; CCLF, CURL and ProtoRL use 0.05).
         temperature: of the contrastive logits.
+        keys: among how many futures each tuple has to find its own, for w: the minibatch's (None, the paper's definition), or this many,
+            the rest being keys of the minibatches before it, as they were then (He et al. 2020 keep such a queue). C_w was stated for
+            minibatches of 1,024, and w falls with their size: 1024 keeps its meaning in smaller ones. L_reach always has the
+            minibatch's futures alone.
         w_init: start of W, uniform [0, 1) as CURL, or a scaled identity, which learns faster.
         loss_weights: of L_fwd, L_bwd, L_k and L_reach.
         state_target: what L_fwd predicts: z' with its gradient (URLB's APT does so), without it, or the momentum encoder's.
@@ -80,6 +85,7 @@ class CUDCConfig(DDPGConfig):
     c_k: Fraction = 0.5
     momentum_tau: Fraction = 0.05
     temperature: PositiveFloat = 1.0
+    keys: PositiveInt | None = field(default=None, metadata=LATER)
     w_init: Literal["uniform", "scaled_identity"] = "uniform"
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0, 1.0, 1.0)
     state_target: Literal["live", "stopgrad", "momentum"] = "live"
@@ -204,6 +210,9 @@ class CUDC(DDPG):
         device = self.device
         self.register_buffer("in_a_row", torch.zeros(members, dtype=torch.int64, device=device))
         self.register_buffer("last_change", torch.zeros(members, dtype=torch.int64, device=device))
+        older = max((config.keys or 0) - config.batch_size, 0) if config.reach else 0
+        self.register_buffer("older_keys", torch.zeros(members, older, config.projection_dim, device=device))
+        self.register_buffer("keys_seen", torch.zeros((), dtype=torch.int64, device=device))
         # One row for each possible increment: number of the update, p and the signal's mean at that moment.
         self.register_buffer("increments", torch.full((members, self.horizons, 3), -1.0, device=device))
         self.register_buffer("probe", torch.zeros(members, config.batch_size, self.space.observation, device=device))
@@ -257,10 +266,18 @@ class CUDC(DDPG):
         queries = self.projection(predicted)
         # S_ij = q_iᵀ W c_j: row i ranks every future of the minibatch as the future of tuple i (paper, eq. of l_i).
         logits = torch.bmm(torch.bmm(queries, self.similarity), keys.transpose(1, 2)) / config.temperature
-        found["log_reachable"] = logits.diagonal(dim1=1, dim2=2) - logits.logsumexp(-1)
+        own, all_keys = logits.diagonal(dim1=1, dim2=2), logits.logsumexp(-1)
+        found["log_reachable"] = own - all_keys
+        with torch.no_grad():
+            found["keys"] = keys
+            if self.older_keys.shape[1]:
+                older = torch.bmm(torch.bmm(queries, self.similarity), self.older_keys.transpose(1, 2)) / config.temperature
+                there = torch.arange(older.shape[-1], device=older.device) < self.keys_seen
+                all_keys = torch.logaddexp(all_keys, older.masked_fill(~there, -torch.inf).logsumexp(-1))
+            found["log_found"] = own - all_keys
         if batch.measure:
-            own = torch.arange(size, device=logits.device)
-            found["retrieved"] = (logits.detach().argmax(-1) == own).float().mean(1)
+            label = torch.arange(size, device=logits.device)
+            found["retrieved"] = (logits.detach().argmax(-1) == label).float().mean(1)
         return found
 
     def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
@@ -285,6 +302,9 @@ class CUDC(DDPG):
 
     # Reward, weight, horizon
 
+    def represent(self, observation: Tensor) -> Tensor | None:
+        return None if self.config.encoder == "none" else self.state_encoder(observation)
+
     def reward(self, batch: Batch) -> Tensor:
         if self.config.reward_after_update:
             batch.kept = self.features(batch)
@@ -304,7 +324,7 @@ class CUDC(DDPG):
         if not self.config.reach:
             return None
         # w = 1 - l, in the form that keeps its digits when l is close to 1.
-        w = batch.kept["w"] = -torch.expm1(batch.kept["log_reachable"])
+        w = batch.kept["w"] = -torch.expm1(batch.kept["log_found"])
         if not self.config.regularize:
             return None
         if self.config.weight_mode == "mean_normalised":
@@ -315,6 +335,11 @@ class CUDC(DDPG):
     def after_belief(self, batch: Batch) -> dict[str, Tensor]:
         f, config = batch.kept, self.config
         measured = self._measure(batch) if batch.measure else {}
+        if config.reach and (size := self.older_keys.shape[1]):
+            keys = f["keys"][:, :size]
+            rows = (self.keys_seen + torch.arange(keys.shape[1], device=self.device)) % size
+            self.older_keys[:, rows] = keys
+            self.keys_seen.add_(keys.shape[1])
         if config.k_rule in {"uniform", "normal"}:
             self.k.copy_(self._drawn_horizon())
         elif config.k_rule != "weight" or config.reach:
@@ -358,6 +383,8 @@ class CUDC(DDPG):
 
     in_a_row: Tensor
     last_change: Tensor
+    older_keys: Tensor
+    keys_seen: Tensor
     increments: Tensor
     probe: Tensor
 
@@ -368,10 +395,14 @@ class CUDC(DDPG):
         if not self.probe.any():
             self.probe.copy_(batch.observation)
         found = {"surprise": f["surprise"].mean(1), "step_norm": (f["z_next"] - f["z"]).norm(dim=-1).mean(1)}
-        if config.encoder != "none":
-            found["effective_rank"] = effective_rank(self.state_encoder(self.probe))
+        # 1 and above: the forward model is no better than the prediction that nothing changes.
+        found["error_over_persistence"] = found["surprise"] / found["step_norm"]
+        if (probed := self.represent(self.probe)) is not None:
+            found |= {"effective_rank": effective_rank(probed), "state_spread": spread(f["z"])}
         if config.action_encoder:
-            found |= {"action_norm": f["action"].norm(dim=-1).mean(1), "action_spread": f["action"].std(1).norm(dim=-1)}
+            found |= {"action_norm": f["action"].norm(dim=-1).mean(1), "action_spread": spread(f["action"])}
+            if config.entropy:
+                found["action_share"] = action_share(f["z"], f["action"], config.neighbours)
         if config.entropy:
             found["entropy"] = f["entropy"].mean(1)
             if config.prediction_error == "linear":
@@ -386,8 +417,9 @@ class CUDC(DDPG):
     def summary(self) -> list[dict[str, Any]]:
         """Every increment of k as (step, old k, new k, p, mean of what the rule looks at), and whether the schedule is suspect.
 
-        Suspect: k grew before 50K environment steps, or reached its bound within 100K of its first growth. The criterion looks at one
-        minibatch, so a schedule this early says more about the thresholds than about reachability.
+        Suspect: k grew in the first twentieth of the run, or reached its bound within a tenth of the run of its first growth (50K and
+        100K of the paper's 1M environment steps). The criterion looks at one minibatch, so a schedule this early says more about the
+        thresholds than about reachability.
         """
         found = []
         looked_at = {"reward": "mean_reward", "error": "mean_error"}.get(self.config.k_rule, "mean_w")
@@ -400,13 +432,7 @@ class CUDC(DDPG):
                     changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, looked_at: mean})
             steps = [change["step"] for change in changes]
             at_bound = len(steps) == self.horizons - 1 and len(steps) > 1
-            early = bool(steps) and (steps[0] < STARTS_TOO_EARLY or (at_bound and steps[-1] - steps[0] <= ENDS_TOO_EARLY))
+            starts, ends = suspect_limits(self.space.steps)
+            early = bool(steps) and (steps[0] < starts or (at_bound and steps[-1] - steps[0] <= ends))
             found.append({"k_increments": changes, "k_schedule_suspect": early})
         return found
-
-
-def effective_rank(features: Tensor) -> Tensor:
-    """exp of the entropy of the normalised singular values (Roy and Vetterli 2007): (E, B, D) -> (E,)."""
-    singular = torch.linalg.svdvals(features)
-    share = singular / singular.sum(-1, keepdim=True)
-    return torch.special.entr(share).sum(-1).exp()

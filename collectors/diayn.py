@@ -49,7 +49,8 @@ class OneHotSkills(DDPG):
 class DIAYN(OneHotSkills):
     """Rewards states from which a discriminator recognises the skill: log q(z|s') - log p(z), with p uniform.
 
-    As in URLB and unlike Eysenbach et al.: DDPG instead of a maximum-entropy policy, and skills that change within an episode.
+    As in URLB and unlike Eysenbach et al.: DDPG instead of a maximum-entropy policy, and skills that change within an episode. Unlike
+    URLB, whose replay pairs an action with the skill of the step after it, an action comes with the skill that it followed.
     """
 
     config_class: ClassVar[type] = DIAYNConfig

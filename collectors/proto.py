@@ -46,7 +46,8 @@ class Proto(DDPG):
     """Rewards states that are far from those which the prototypes have picked so far.
 
     As in URLB: for states instead of pixels the encoder is one linear layer, the target has no projector, the states that the prototypes
-    pick come from the current minibatch, and the reward has no logarithm. The queue starts with zeros.
+    pick come from the current minibatch, and the reward has no logarithm. The queue starts with zeros. Prototypes are put back to unit
+    norm in place, before the loss and before the reward, so that the gradient is that of free vectors of norm 1.
     """
 
     config_class: ClassVar[type] = ProtoConfig
@@ -66,14 +67,19 @@ class Proto(DDPG):
         self.slow_predictor = make_target(self.predictor, Linear(random, s, config.feature_dim))
         self.projector = mlp(random, config.feature_dim, config.projection_hidden, config.feature_dim)
         drawn = Linear(random, config.feature_dim, config.prototypes).weight.detach()
-        self.prototypes = nn.Parameter(drawn.transpose(1, 2).contiguous())  # (E, M, D)
+        self.prototypes = nn.Parameter(F.normalize(drawn.transpose(1, 2), dim=-1).contiguous())  # (E, M, D)
         self.register_buffer("queue", torch.zeros(random.count, config.queue_size, config.feature_dim, device=self.device))
         self.register_buffer("queue_start", torch.zeros((), dtype=torch.int64, device=self.device))
         return [self.predictor, self.projector, self.prototypes]
 
+    @torch.no_grad()
+    def normalise_prototypes(self) -> None:
+        """Put every prototype back to norm 1, in place."""
+        self.prototypes.copy_(F.normalize(self.prototypes, dim=-1))
+
     def scores(self, features: Tensor) -> Tensor:
-        """Cosine similarity (E, B, M) of normalised features with the prototypes."""
-        return features @ F.normalize(self.prototypes, dim=-1).transpose(1, 2)
+        """Products (E, B, M) of normalised features with the prototypes as they are."""
+        return features @ self.prototypes.transpose(1, 2)
 
     def assign(self, scores: Tensor) -> Tensor:
         """Balanced assignments q (E, B, M): Sinkhorn's rounds on exp(score / temperature); each row sums to 1.
@@ -87,6 +93,7 @@ class Proto(DDPG):
         return q
 
     def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        self.normalise_prototypes()
         online = F.normalize(self.projector(self.predictor(batch.observation)), dim=-1)
         log_p = (self.scores(online) / self.config.temperature).log_softmax(-1)
         with torch.no_grad():
@@ -94,8 +101,12 @@ class Proto(DDPG):
         loss = -(q * log_p).sum(-1).mean(1)
         return loss, {"loss_assignment": loss.detach()}
 
+    def represent(self, observation: Tensor) -> Tensor:
+        return F.normalize(self.predictor(observation), dim=-1)
+
     def reward(self, batch: Batch) -> Tensor:
-        y = F.normalize(self.predictor(batch.next_observation), dim=-1)
+        self.normalise_prototypes()
+        y = self.represent(batch.next_observation)
         self._remember(y)
         nearest = neighbour_distances(y, self.config.neighbours, among=self.queue)
         return nearest.amax(-1)

@@ -55,8 +55,9 @@ class Setting:
         """The sizes that the method is built for."""
         facts = check_domain(self.domain)
         return Space(
-            self.domain, facts.observation_size, facts.action_size, facts.episode_length, self.loop.seed_steps, self.loop.update_every
-        )
+            self.domain, facts.observation_size, facts.action_size, facts.episode_length, self.loop.seed_steps, self.loop.update_every,
+            self.loop.steps,
+        )  # fmt: skip
 
 
 def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, Any] | None = None, piloting: bool = False) -> Setting:

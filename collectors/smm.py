@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from cudc_bench.config import Finite, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
-from cudc_bench.networks import MemberRandom, Trained, mlp
+from cudc_bench.networks import Linear, MemberRandom, Trained, mlp
 from cudc_bench.replay import Batch
 
 from .ddpg import DDPGConfig
@@ -47,7 +47,8 @@ class SMM(OneHotSkills):
 
     r = ‖(s, z) - reconstruction‖² + log K - log q(z|s). The last term has URLB's sign: Lee et al. reward skills that can be recognised
     (+ log q), the reference code the opposite; ``discriminator_weight=-1`` gives the paper's. Skills last for an episode as in the
-    paper; in URLB a flag is inverted, and its search for a skill runs during exploration. The target distribution is uniform.
+    paper; in URLB a flag is inverted, and its search for a skill runs during exploration. The target distribution is uniform. An action
+    comes with the skill that it followed, where URLB's replay takes that of the step after it.
     """
 
     config_class: ClassVar[type] = SMMConfig
@@ -57,7 +58,9 @@ class SMM(OneHotSkills):
     def build(self, random: MemberRandom) -> list[Trained]:
         config = self.config
         inputs, hidden = self.space.observation + config.skills, config.vae_hidden
-        self.encoder = mlp(random, inputs, hidden, hidden, 2 * config.latent_dim)
+        # Mean and log-variance are layers of their own, computed as one.
+        heads = Linear(random, hidden, 2 * config.latent_dim, blocks=2)
+        self.encoder = nn.Sequential(*mlp(random, inputs, hidden, hidden, output=torch.relu_), heads)
         self.decoder = mlp(random, config.latent_dim, hidden, hidden, inputs)
         self.discriminator = mlp(random, self.space.observation, config.width, config.width, config.skills)
         rate = config.vae_learning_rate

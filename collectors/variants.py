@@ -1,7 +1,8 @@
 """CUDC's relatives by name: the rows of the paper's component studies, and controls that the paper lacks.
 
 Each is a setting of the switches of ``CUDCConfig`` (or ``APTConfig``) and nothing else, so that ``--set`` can vary it further. Two names
-for one setting are one class: ``cudc-reach`` is ``cudc-no-regularize``, ``cudc-no-vary`` is ``cudc-kmax3``, and ``cudc-kmax6`` is ``cudc``.
+for one setting are one class: ``cudc-reach`` is ``cudc-no-regularize``, ``cudc-no-vary`` is ``cudc-kmax3``, and ``cudc-kmax6`` and
+``cudc-live`` are ``cudc``.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class VaryAPT(CUDC):
 
     family = "towards CUDC"
     values: ClassVar[Values] = {
-        "encoder": "apt", "action_encoder": False, "inverse": "actions", "reach": False, "regularize": False,
+        "encoder": "apt", "action_encoder": False, "inverse": "actions", "reach": False, "regularize": False, "state_target": "live",
         "prediction_error": "none", "beta": 0.0, "reward_after_update": True, "k_rule": "reward",
     }  # fmt: skip
 
@@ -58,7 +59,9 @@ class Reward(CUDC):
     """
 
     family = "towards CUDC"
-    values: ClassVar[Values] = {"encoder": "apt", "inverse": "actions", "reach": False, "regularize": False, "k_rule": "reward"}
+    values: ClassVar[Values] = {
+        "encoder": "apt", "inverse": "actions", "reach": False, "regularize": False, "state_target": "live", "k_rule": "reward",
+    }  # fmt: skip
 
 
 class Reach(CUDC):
@@ -96,10 +99,14 @@ class NoVary(CUDC):
 
 
 class NoReach(CUDC):
-    """Without the reachability module, and so without weights; k grows with the share of small forward errors."""
+    """Without the reachability module, and so without weights; k grows with the share of small forward errors.
+
+    The forward model's target has no gradient here: with it nothing keeps the encoder from shrinking z to a point, and the ablation
+    would measure that.
+    """
 
     family = "CUDC less a part"
-    values: ClassVar[Values] = {"reach": False, "regularize": False, "k_rule": "error"}
+    values: ClassVar[Values] = {"reach": False, "regularize": False, "state_target": "stopgrad", "k_rule": "error"}
 
 
 class NoInverse(CUDC):
@@ -166,6 +173,20 @@ class OneSetting(CUDC):
     family = "CUDC, other reading"
     domain_values: ClassVar[Mapping[str, Values]] = {}
     values: ClassVar[Values] = {"alpha": 1e-3, "beta": 1e-2, "clip_low": 0.2, "clip_high": 1.0, "c_w": 0.02}
+
+
+class StopGrad(CUDC):
+    """L_fwd predicts z' without its gradient: it trains the forward model, and the encoder through its input alone."""
+
+    family = "CUDC, other reading"
+    values: ClassVar[Values] = {"state_target": "stopgrad"}
+
+
+class Momentum(CUDC):
+    """L_fwd predicts the momentum encoder's z'."""
+
+    family = "CUDC, other reading"
+    values: ClassVar[Values] = {"state_target": "momentum"}
 
 
 class Literal(CUDC):

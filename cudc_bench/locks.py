@@ -14,6 +14,7 @@ from typing import IO
 from cudc_bench.errors import HeldError
 from cudc_bench.files import lives, unwritable
 
+_UNNAMED = 20.0  # seconds for which a lock may be held by somebody who has not yet written down who it is: a busy machine lets it wait
 _MISSING = 100  # times that its folder may vanish before the lock is given up: those above it may be gone
 
 
@@ -97,7 +98,7 @@ def _holder(file: IO[str]) -> str | None:
 
     A holder writes its number right after it has taken the lock, so what stands there at first may be nothing, or somebody's who died.
     """
-    deadline = time.monotonic() + 1.0
+    deadline = time.monotonic() + _UNNAMED
     while time.monotonic() < deadline:
         file.seek(0)
         number, _, machine = file.read(200).partition(" ")

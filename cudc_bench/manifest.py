@@ -22,8 +22,6 @@ from cudc_bench.files import check_folder, check_regular
 from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
 
 KEY = "cudc_bench"
-# A schedule of k is suspect if k first grew before the one, or went from there to its bound within the other; environment steps.
-STARTS_TOO_EARLY, ENDS_TOO_EARLY = 50_000, 100_000
 _LARGEST_STEP = 10**12  # beyond any collection
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
 Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
@@ -72,6 +70,15 @@ class Import(BaseModel):
     sha256: _Sha256
     clipped: int = 0
     ignored: list[str] = []
+
+
+def suspect_limits(steps: int) -> tuple[int, int]:
+    """A schedule of k is suspect if k first grew before the one, or went from there to its bound within the other; environment steps.
+
+    Args:
+        steps: of the whole run; the limits are 50K and 100K for the paper's 1M.
+    """
+    return steps // 20, steps // 10
 
 
 class Growth(NamedTuple):

@@ -9,11 +9,12 @@ from torch import Tensor, nn
 class RunningMoments(nn.Module):
     """Mean and variance of all numbers seen, merged batch by batch (Chan, Golub, LeVeque 1979).
 
-    They start as mean 0 and variance 1 with a weight of 1e-4, as in URLB.
+    They start as mean 0 and variance 1 with a weight of 1e-4, and each batch enters with its unbiased variance, as in URLB and in the
+    code of CIC's authors.
 
     Attributes:
         mean: (E,).
-        variance: (E,), of the population.
+        variance: (E,), the weighted mean of the batches' unbiased variances, plus the variance of their means.
         weight: how many numbers were seen, and the prior's weight.
     """
 
@@ -32,7 +33,8 @@ class RunningMoments(nn.Module):
         """Take in a batch (E, …) of numbers."""
         values = values.flatten(1)
         count = values.shape[1]
-        variance, mean = torch.var_mean(values, dim=1, unbiased=False)
+        # One number has no unbiased variance.
+        variance, mean = torch.var_mean(values, dim=1, correction=min(1, count - 1))
         share = (count / (self.weight + count)).float()
         difference = mean - self.mean
         self.variance += share * (variance - self.variance) + share * (1.0 - share) * difference.square()

@@ -1,4 +1,4 @@
-"""Figures of a collection's diagnostics: k, and the losses of the belief, over environment steps."""
+"""Figures of a collection's diagnostics over environment steps: k, the losses of the belief, and what became of the representation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cudc_bench.markup import plain
 
-from .diagnostics import LOSSES, Comparison, series
+from .diagnostics import LOSSES, REPRESENTATION, Comparison, series
 from .figures import draw_line, figure_files, framed, line_width, looks, seeds_text, steps_axis
 
 if TYPE_CHECKING:
@@ -25,12 +25,14 @@ Series = tuple[list[int], list[float], list[float] | None]
 
 
 def diagnostic_files(comparison: Comparison) -> dict[str, bytes]:
-    """``k.svg``, ``k.pdf``, ``losses.svg`` and ``losses.pdf``, without those that no method has values for; see ``figure_files``."""
+    """``k``, ``losses`` and ``representation``, without those that no method has values for; see ``figure_files``."""
     files: dict[str, bytes] = {}
     if comparison.having(["k"]):
         files |= figure_files("k", lambda: draw_k(comparison))
     if comparison.having(LOSSES):
         files |= figure_files("losses", lambda: draw_losses(comparison))
+    if comparison.having(REPRESENTATION):
+        files |= figure_files("representation", lambda: draw_representation(comparison))
     return files
 
 
@@ -57,17 +59,31 @@ def draw_k(comparison: Comparison) -> Figure:
 
 
 def draw_losses(comparison: Comparison) -> Figure:
-    """Each loss over environment steps in a panel of its own, lines as in :func:`draw_k`; dotted lines, if few, mark where k grew.
+    """Each loss over environment steps; see :func:`_draw_panels`."""
+    return _draw_panels(comparison, "Losses", {name: f"{loss} loss" for name, loss in LOSSES.items()})
+
+
+def draw_representation(comparison: Comparison) -> Figure:
+    """What shows a collapse over environment steps; see :func:`_draw_panels`. Errors of 1 are those of a model that predicts no change."""
+    figure = _draw_panels(comparison, "Representations", REPRESENTATION)
+    for panel in figure.axes:
+        if panel.get_title() == REPRESENTATION["error_over_persistence"]:
+            panel.axhline(1.0, color="#7F7F7F", linewidth=0.8, linestyle=":", zorder=0)
+    return figure
+
+
+def _draw_panels(comparison: Comparison, what: str, titles: Mapping[str, str]) -> Figure:
+    """Each measure over environment steps in a panel of its own, lines as in :func:`draw_k`; dotted lines, if few, mark where k grew.
 
     Panels with more than a decade are logarithmic down to 4 decades below their largest value's, and linear from there through 0.
     """
-    names = [name for name in LOSSES if comparison.having([name])]
+    names = [name for name in titles if comparison.having([name])]
     shown = _looks(comparison, comparison.having(names))
     grew = {(run.manifest.method, growth.step) for run in comparison.runs for growth in run.manifest.k_growth}
     marks = sorted((method, step) for method, step in grew if method in shown)
     marks = marks if len(marks) <= _MARKS else []
-    what = f"{seeds_text(comparison.seeds(names))}{', dotted: k grew' if marks else ''}"
-    title = f"Losses on {comparison.domain}, profile {comparison.group}: {what}"
+    behind = f"{seeds_text(comparison.seeds(names))}{', dotted: k grew' if marks else ''}"
+    title = f"{what} on {comparison.domain}, profile {comparison.group}: {behind}"
     figure, panels = framed(title, _legend(shown), len(names), 2)
     for panel, name in zip(panels, names, strict=True):
         for method, step in marks:
@@ -76,7 +92,7 @@ def draw_losses(comparison: Comparison) -> Figure:
         for method, line in lines.items():
             draw_line(panel, *line, shown[method], clip=True)
         _scale(panel, list(lines.values()))
-        panel.set_title(f"{LOSSES[name]} loss")
+        panel.set_title(titles[name])
         steps_axis(panel, "environment steps", (run.last_step for run in comparison.runs))
     return figure
 

@@ -1,4 +1,4 @@
-"""What collectors measured of themselves while they learned: k and losses over environment steps, from the datasets' diagnostics.
+"""What collectors measured of themselves while they learned: k, losses and representations, from the datasets' diagnostics.
 
 A figure compares methods on one domain at one profile with the same settings changed; there is no way to mix them.
 """
@@ -28,7 +28,11 @@ from .table import METHOD_ORDER, differing, ordered, slug, span
 
 FILE = "diagnostics.jsonl"
 LOSSES = {"loss_forward": "forward", "loss_inverse": "inverse", "loss_step": "step", "loss_reach": "contrastive"}
-_NUMBERS = ("k", *LOSSES, "coverage_cells", "coverage_entropy")
+REPRESENTATION = {
+    "error_over_persistence": "forward error over persistence", "effective_rank": "effective rank of z", "state_spread": "spread of z",
+    "action_share": "actions' share of distances",
+}  # fmt: skip
+_NUMBERS = ("k", *LOSSES, *REPRESENTATION, "coverage_cells", "coverage_entropy")
 _LARGEST_STEP, _LARGEST = 10**9, 1e30  # Above any real one; larger ones would overflow sums and axes.
 
 
@@ -115,10 +119,10 @@ def draw_diagnostics(
     domain: str | None = None,
     methods: Sequence[str] | None = None,
 ) -> DiagnosticsReport:
-    """Draw k and the losses of collectors over environment steps, from the diagnostics beside their datasets.
+    """Draw k, the losses and the representations of collectors over environment steps, from the diagnostics beside their datasets.
 
-    For each domain and group ``<output>/<slug>/`` gets ``k.svg``, ``k.pdf``, ``losses.svg`` and ``losses.pdf``, without those that no
-    method has values for; each file is replaced whole. The same datasets give the same bytes.
+    For each domain and group ``<output>/<slug>/`` gets ``k``, ``losses`` and ``representation`` as ``.svg`` and ``.pdf``, without those
+    that no method has values for; each file is replaced whole. The same datasets give the same bytes.
 
     Args:
         dataset_ids: task-agnostic datasets that were collected here; all below the dataset root unless given.
@@ -270,7 +274,7 @@ def _doubts(comparison: Comparison) -> Iterator[str]:
         runs = [run for run in comparison.runs if run.manifest.method == method]
         if names := differing([run.manifest.hyperparameters for run in runs]):
             yield f"the datasets of {method} were collected with different hyperparameters: {', '.join(names)}."
-        for name in ("k", *LOSSES):
+        for name in ("k", *LOSSES, *REPRESENTATION):
             having = comparison.of(method, name)
             if having and len(having) < len(runs):
                 missing = [run.id for run in runs if run not in having]

@@ -27,7 +27,7 @@ COLOURS = {
 _OTHER_COLOURS = ("#0072B2", "#000000", "#8C6D1F", "#882255", "#117733", "#7B5FD0")
 _DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)))
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\")
-_LIGHT, _OWN, _DIM, _DARK = "#F4B183", COLOURS["cudc"], "#9A4400", "#4A1C00"
+_LIGHT, _OWN, _DIM, _DARK, _RED = "#F4B183", COLOURS["cudc"], "#9A4400", "#4A1C00", "#A11D33"
 # CUDC's relatives have its hue, lighter or darker, or that of the method that they start from; dashes tell apart those of one colour.
 _STYLED: dict[str, tuple[str, Any]] = {
     name: (colour, dashes)
@@ -37,6 +37,7 @@ _STYLED: dict[str, tuple[str, Any]] = {
         (COLOURS["apt"], ("", "cudc-vary-apt", "apt-k6", "apt-ksched")),
         (_LIGHT, ("cudc-kmax3", "cudc-kmax4", "cudc-no-regularize", "cudc-no-reach", "cudc-uniform-k")),
         (_OWN, ("", "cudc-kmax5", "cudc-reward", "cudc-one-setting", "cudc-kmax6")),
+        (_RED, ("cudc-live", "cudc-stopgrad", "cudc-momentum")),
         (_DIM, ("cudc-no-entropy", "cudc-no-inverse", "cudc-no-pe", "cudc-reach", "cudc-kmix")),
         (_DARK, ("cudc-kmax8", "cudc-kmax7", "cudc-normal-k", "cudc-no-vary", "cudc-literal")),
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 # Two names of one class: whatever was collected under the first can stand wherever the second is asked for, and the other way round.
-ALIASES = {"cudc-kmax6": "cudc", "cudc-no-regularize": "cudc-reach", "cudc-no-vary": "cudc-kmax3"}
+ALIASES = {"cudc-kmax6": "cudc", "cudc-live": "cudc", "cudc-no-regularize": "cudc-reach", "cudc-no-vary": "cudc-kmax3"}
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,13 @@ CONTROLS = Plan(
     "Whether a longer bootstrap alone, one setting for all domains, or another reading of the equations gives what CUDC gives.",
     ("apt", "apt-k6", "apt-ksched", "cudc", "cudc-one-setting", "cudc-literal", "cudc-kmix"),
 )
-PLANS = (VARIANTS, SCHEDULE, ABLATION, K_BOUND, CONTROLS)
+READINGS = Plan(
+    "readings",
+    "What CUDC's forward model predicts",
+    "Three readings of the target of the paper's forward loss: z' with its gradient, without it, or a slow copy's.",
+    ("cudc-live", "cudc-stopgrad", "cudc-momentum"),
+)
+PLANS = (VARIANTS, SCHEDULE, ABLATION, K_BOUND, CONTROLS, READINGS)
 STUDY_METHODS = frozenset(method for plan in PLANS for method in plan.own)
 
 

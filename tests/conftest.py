@@ -15,6 +15,8 @@ import pytest
 
 import cudc_bench
 
+from .waiting import PATIENCE
+
 # Before PyTorch is loaded, here and in the processes that tests start: the tests already share the cores among them, and threads that
 # wait for each other on a busy core take many times as long as one thread alone.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,9 +26,12 @@ pytest.register_assert_rewrite("cudc_bench.collectors.contract", "cudc_bench.eva
 
 TASKS = ("stand", "walk", "run", "flip")
 
-# Time limits on a single example fail on a busy machine and prove nothing. What decides whether a change lands draws the same examples
-# every time; everybody's own runs draw new ones.
-hypothesis.settings.register_profile("cudc_bench", deadline=None, print_blob=True, derandomize=bool(os.environ.get("CI")))
+# Time limits, on one example or on making examples, fail on a busy machine and prove nothing. What decides whether a change lands draws
+# the same examples every time; everybody's own runs draw new ones.
+hypothesis.settings.register_profile(
+    "cudc_bench", deadline=None, print_blob=True, derandomize=bool(os.environ.get("CI")),
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)  # fmt: skip
 hypothesis.settings.load_profile("cudc_bench")
 
 
@@ -78,7 +83,7 @@ def cli(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finished]:
 
     def run(*arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable) -> Finished:
         command = [interpreter, "-m", "cudc_bench.cli", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=environment | dict(env or {}), capture_output=True, text=True, timeout=300)
+        done = subprocess.run(command, cwd=tmp_path, env=environment | dict(env or {}), capture_output=True, text=True, timeout=PATIENCE)
         return Finished(done.returncode, done.stdout, done.stderr)
 
     return run
@@ -91,7 +96,7 @@ def python(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finishe
     def run(script: str, *arguments: str, without: tuple[str, ...] = ()) -> Finished:
         env = {name: value for name, value in environment.items() if name not in without}
         command = [sys.executable, "-c", script, *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=PATIENCE)
         return Finished(done.returncode, done.stdout, done.stderr)
 
     return run

@@ -45,8 +45,8 @@ COMMANDS = {
     ],
     "relabel": ["relabel", "walker/cudc-v0"],
     "evaluate": [
-        "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=400", "--set", "evaluate_every=200",
-        "--set", "milestones=[200,400]", "--checkpoint-every", "0.05",
+        "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=16", "--set", "evaluate_every=8",
+        "--set", "milestones=[8,16]", "--checkpoint-every", "0",
     ],
     "suite": ["run", "suite.toml", "--checkpoint-every", "0"],
 }  # fmt: skip

@@ -1,7 +1,8 @@
 """Starts one command twice at the same moment, many times over: one process does the work, and the other says who does.
 
 ``python -m tests.racing collect 50`` does so 50 times; several commands may follow each other. Processes are forked from one that has
-imported everything, and wait on a pipe for the start, so that they are apart by less than the work takes.
+imported everything, and wait on a pipe for the start. How far they are apart is left to the machine, which may let one come when the other
+is done; so in every second race the one that has taken the lock waits until the other has ended.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import IO
 
 import torch
 
 import cudc_bench
-from cudc_bench import cli
+from cudc_bench import cli, locks
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.records import read_record
 
@@ -36,24 +38,32 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def race(what: str, folder: Path) -> str:
+def race(what: str, folder: Path, meet: bool) -> str:
     """Start both, and say how it went: ``"refused"`` if one was, ``"kept"`` if it came when the other had done the work.
+
+    Args:
+        what: a key of COMMANDS.
+        folder: to work in.
+        meet: whether the one that is first waits for the other.
 
     Raises:
         AssertionError: both did the work, or neither, or something is left or half-written.
     """
     command = [*COMMANDS[what], "--workers", "1", "--profile", "smoke"]
     waiting, go = os.pipe()
+    other, ended = os.pipe()  # of which each process holds the end that closes when it ends
 
     def start() -> None:
         os.close(go)
         print(os.getpid(), file=sys.stderr)
         os.read(waiting, 1)
+        if meet:
+            _hold_until(ended, other)
         cli.main(command)
 
     ends: list[Callable[[], Ended]] = [forked(start, folder / name) for name in ("first", "second")]
-    os.close(go)
-    os.close(waiting)
+    for one in (go, waiting, other, ended):
+        os.close(one)
     done = sorted(end() for end in ends)
     assert done[0].code == 0, done
     refusal = rf"cudc-bench: error: process {done[0].err.split()[0]} is writing '[^']+'; wait for it to end\."
@@ -75,6 +85,20 @@ def race(what: str, folder: Path) -> str:
     return "refused" if done[1].code else "kept"
 
 
+def _hold_until(own: int, other: int) -> None:
+    """Let this process, once it has a lock, wait until nobody else holds the end ``own`` of a pipe, and nothing comes from ``other``."""
+    take = locks._take
+
+    def take_and_wait(path: Path, what: str) -> IO[str]:
+        file = take(path, what)
+        locks._take = take
+        os.close(own)
+        os.read(other, 1)
+        return file
+
+    locks._take = take_and_wait
+
+
 def run(what: str, times: int, made: Path) -> Counter[str]:
     """Race so many times in a folder of its own, and count how it went; ``made`` has the datasets that a command needs."""
     folder = made / what
@@ -83,7 +107,7 @@ def run(what: str, times: int, made: Path) -> Counter[str]:
     os.environ["MINARI_DATASETS_PATH"] = str(folder / "datasets")
     if what != "collect":
         shutil.copytree(made / "datasets", folder / "datasets")
-    return Counter(race(what, folder) for _ in range(times))
+    return Counter(race(what, folder, meet=bool(number % 2)) for number in range(times))
 
 
 if __name__ == "__main__":

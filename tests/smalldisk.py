@@ -100,7 +100,7 @@ class SmallDisk:
         """End the process, and with it the disk."""
         assert self._process.stdin is not None
         self._process.stdin.close()
-        self._process.wait(60)
+        self._process.wait()
 
     def _ask(self, **request: Any) -> Any:
         assert self._process.stdin is not None

@@ -18,10 +18,13 @@ OURS = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "prot
 STUDIED = {
     "cudc-vary-icm", "cudc-vary-apt", "cudc-reward", "cudc-reach", "cudc-no-entropy", "cudc-no-pe", "cudc-no-regularize", "cudc-no-vary",
     "cudc-no-reach", "cudc-no-inverse", "cudc-uniform-k", "cudc-normal-k", "cudc-kmax3", "cudc-kmax4", "cudc-kmax5", "cudc-kmax6",
-    "cudc-kmax7", "cudc-kmax8", "cudc-one-setting", "cudc-literal", "cudc-kmix", "apt-k6", "apt-ksched",
+    "cudc-kmax7", "cudc-kmax8", "cudc-one-setting", "cudc-live", "cudc-stopgrad", "cudc-momentum",
+    "cudc-literal", "cudc-kmix", "apt-k6", "apt-ksched",
 }  # fmt: skip
 # Names whose datasets on Walker are the same: aliases, and what one setting for all domains is there (see collectors/variants.py).
-SAME = {"cudc-no-regularize": "cudc-reach", "cudc-kmax3": "cudc-no-vary", "cudc-kmax6": "cudc", "cudc-one-setting": "cudc"}
+SAME = {
+    "cudc-no-regularize": "cudc-reach", "cudc-kmax3": "cudc-no-vary", "cudc-kmax6": "cudc", "cudc-live": "cudc", "cudc-one-setting": "cudc",
+}  # fmt: skip
 SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "smm": 4}
 
 

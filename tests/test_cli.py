@@ -6,7 +6,6 @@ import json
 import shlex
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +20,7 @@ from cudc_bench.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.records import read_record
 
 from .conftest import Finished
+from .waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
@@ -188,7 +188,7 @@ def test_bytes_that_are_no_names_are_refused_in_one_line(option: str, text: str,
 
 def test_a_process_takes_any_bytes(environment: dict[str, str], tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cudc_bench.cli", "collect", b"--dataset-id", b"\xff\n/a-v0"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=PATIENCE)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert b"is not a dataset id" in done.stderr
@@ -297,22 +297,15 @@ def test_workers_leave_when_the_process_that_started_them_is_killed(environment:
     try:
         locks = [datasets / "walker" / f".{name}-v0.lock" for name in ("random", "random-seed2")]
         lines = [datasets / "walker" / f".{name}-v0.building" / "diagnostics.jsonl" for name in ("random", "random-seed2")]
-        wait_until(lambda: all(path.exists() for path in lines))
+        wait_for(lambda: all(path.exists() for path in lines))
         workers = [int(lock.read_text().split()[0]) for lock in locks]
     finally:
         process.kill()
         process.communicate()
-    wait_until(lambda: not any(is_running(worker) for worker in workers))
+    wait_for(lambda: not any(is_running(worker) for worker in workers))
     # They have saved their states and let go of their locks.
     assert sorted(path.name for path in (datasets / "walker").iterdir()) == [".random-seed2-v0.building", ".random-v0.building"]
     assert len(list(datasets.rglob("*.pt"))) == 2
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def is_running(process: int) -> bool:
@@ -389,5 +382,5 @@ def test_doctor_reports_what_is_wrong(here: Callable, datasets: Path) -> None:
 
 def test_the_installed_command_is_this_one(environment: dict[str, str], tmp_path: Path) -> None:
     script = Path(sys.executable).with_name("cudc-bench")
-    done = subprocess.run([script, "--version"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([script, "--version"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"cudc-bench {version('cudc-bench')}\n", "")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from .waiting import PATIENCE
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -19,7 +21,7 @@ def test_the_readmes_python_runs_as_a_program(tmp_path):
     (code,) = [code for code in blocks("README.md") if "__main__" in code]
     program = tmp_path / "program.py"
     program.write_text(code)
-    done = subprocess.run([sys.executable, program], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, program], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("(3000, 24) (3000, 6) 0.0")
     assert len(list((tmp_path / "results").rglob("*.json"))) == 1

@@ -21,6 +21,7 @@ from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.manifest import read_manifest
 
 from .killing import CALLS
+from .waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
 
 ROOT = Path(__file__).resolve().parent.parent
 RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--checkpoint-every", "0"]
@@ -33,7 +34,7 @@ KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 8, "suite": 3}
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     """One process for all commands: to import everything, and to make what they start from, takes as long as many kills."""
     command = [sys.executable, "-m", "tests.killing", *(str(word) for pair in KILLS.items() for word in pair)]
-    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     found = {what: json.loads(rest) for what, rest in (line.split("\t") for line in done.stdout.splitlines())}
     assert found.keys() == KILLS.keys()
@@ -51,10 +52,13 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
     (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}, dataset_id="walker/undisturbed-v0")
     stopped = 0
     for number in (signal.SIGINT, signal.SIGTERM):
-        process = subprocess.Popen(COLLECT, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-        wait_for(lambda before=stopped: any(int(path.stem) > before for path in datasets.rglob("*.pt")), process)
-        process.send_signal(number)
-        _, said = process.communicate(timeout=300)
+        process = subprocess.Popen(COLLECT, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        with killed_in_the_end(process):
+            wait_for(lambda one=process.pid: has_stopped(one), process)
+            assert max(int(path.stem) for path in datasets.rglob("*.pt")) > stopped
+            process.send_signal(number)
+            process.send_signal(signal.SIGCONT)
+            _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == 128 + number
         line = said.splitlines()[-1]
         assert re.fullmatch(
@@ -73,15 +77,18 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
 def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
     datasets: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(TWO, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     with killed_in_the_end(process):
         stopped_with_something_kept(datasets, process)
         kept = {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))}
         process.send_signal(signal.SIGINT)
+        assert process.stderr is not None
+        # It has heard the first; one that comes at once would be taken for the same.
+        assert any("interrupt once more to stop at once" in line for line in iter(process.stderr.readline, ""))
         time.sleep(0.6)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert said.splitlines()[-1] == "cudc-bench: error: interrupted."
     assert {path.parent: path.read_bytes() for path in sorted(datasets.rglob("*.pt"))} == kept
@@ -89,7 +96,7 @@ def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
 
 @pytest.mark.parametrize("reader", [True, False], ids=["read", "whoever read its output has left, as tee does"])
 def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(TWO, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     with killed_in_the_end(process):
         workers = stopped_with_something_kept(datasets, process)
         assert process.stderr is not None
@@ -99,8 +106,8 @@ def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: P
         for worker in workers:
             wait_for(lambda worker=worker: waits_for(worker, signal.SIGTERM), process)
             os.kill(worker, signal.SIGCONT)
-        said = process.communicate(timeout=60)[1] if reader else ""
-        assert process.wait(60) == 130
+        said = process.communicate(timeout=PATIENCE)[1] if reader else ""
+        assert process.wait(PATIENCE) == 130
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
     if reader:
@@ -110,20 +117,20 @@ def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: P
 
 
 def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    process = subprocess.Popen(TWO, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(TWO, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     with killed_in_the_end(process):
         first, second = stopped_with_something_kept(datasets, process)
         os.kill(first, signal.SIGKILL)
         wait_for(lambda: waits_for(second, signal.SIGTERM), process)
         os.kill(second, signal.SIGCONT)
-        _, said = process.communicate(timeout=300)
+        _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     death = "a worker process died (SIGKILL, perhaps out of memory)"
     assert said.splitlines()[-1] == f"cudc-bench: error: {death}; run the same command again."
     assert "Traceback" not in said
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
-    done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
     (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 20_000}, dataset_id="walker/undisturbed-v0")
     assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
@@ -132,11 +139,10 @@ def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environme
 def test_another_configuration_is_refused_and_fresh_starts_over(
     datasets: Path, environment: dict[str, str], tmp_path: Path, cli: Callable
 ) -> None:
-    process = subprocess.Popen(COLLECT, env=environment, cwd=tmp_path, stderr=subprocess.DEVNULL)
-    wait_for(lambda: any(datasets.rglob("*.pt")), process)
-    process.kill()
-    process.wait()
-    (at,) = {max(int(path.stem) for path in datasets.rglob("*.pt"))}
+    process = subprocess.Popen(COLLECT, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    with killed_in_the_end(process):
+        wait_for(lambda: has_stopped(process.pid), process)
+    at = max(int(path.stem) for path in datasets.rglob("*.pt"))
     line = f"Unfinished: walker/random-v0: was interrupted; its last checkpoint is at step {at:,}"
     assert line in cli("list").out.splitlines()
     before = sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*"))
@@ -153,32 +159,19 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     assert sorted(path.name for path in (datasets / "walker").iterdir()) == ["namespace_metadata.json", "random-v0"]
 
 
-def wait_for(true: Callable[[], bool], process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 120
-    while not true():
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
+def stopped_with_something_kept(datasets: Path, process: subprocess.Popen[str]) -> list[int]:
+    """The two workers, which have stopped themselves at their first checkpoints: otherwise one could be done when the other begins."""
 
+    def both() -> list[int]:
+        kept = [name for name in ("random-v0", "random-seed2-v0") if any((datasets / "walker" / f".{name}.building").rglob("*.pt"))]
+        found = [int((datasets / "walker" / f".{name}.lock").read_text().split()[0]) for name in kept]
+        return found if len(found) == 2 and all(map(has_stopped, found)) else []
 
-def stopped_with_something_kept(datasets: Path, process: subprocess.Popen) -> list[int]:
-    """Stop each of the two workers at its first checkpoint: on a busy machine one could be done before the other has begun."""
-    stopped: dict[str, int] = {}
-
-    def both() -> bool:
-        for name in ("random-v0", "random-seed2-v0"):
-            if name not in stopped and any((datasets / "walker" / f".{name}.building").rglob("*.pt")):
-                stopped[name] = int((datasets / "walker" / f".{name}.lock").read_text().split()[0])
-                os.kill(stopped[name], signal.SIGSTOP)
-        # A later signal could overtake this one.
-        return len(stopped) == 2 and all("State:\tT" in Path(f"/proc/{one}/status").read_text() for one in stopped.values())
-
-    wait_for(both, process)
-    return list(stopped.values())
+    return wait_for(both, process)
 
 
 @contextmanager
-def killed_in_the_end(process: subprocess.Popen) -> Iterator[None]:
+def killed_in_the_end(process: subprocess.Popen[str]) -> Iterator[None]:
     """With its workers, which leave by themselves if they are not stopped."""
     try:
         yield

@@ -16,6 +16,8 @@ import cudc_bench
 from cudc_bench.ids import parse_id
 from cudc_bench.manifest import read_manifest
 
+from .waiting import PATIENCE
+
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "plugin"
 SITES = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
 
@@ -37,7 +39,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Path(sysconfig.get_path("purelib", "venv", base), "running.pth").write_text(lines)
     offline = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--no-index")
     command = [interpreter(folder), "-m", "pip", "install", *offline, folder / "plugin"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -94,7 +96,7 @@ def test_the_battery_and_its_own_tests_pass(place: Path, environment: dict[str, 
     command = [interpreter(place), "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_re3.py"]
     # Beside other tests, threads that wait for each other's share of a core take ten times as long.
     alone = environment | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, cwd=place / "plugin", env=alone, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=place / "plugin", env=alone, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "passed" in done.stdout
     assert "skipped" not in done.stdout

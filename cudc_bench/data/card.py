@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
 from cudc_bench.envs.domains import Domain, domain_title
-from cudc_bench.manifest import ENDS_TOO_EARLY, STARTS_TOO_EARLY, Manifest
+from cudc_bench.manifest import Manifest, suspect_limits
 from cudc_bench.markup import escape_markdown, plain, templates
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"), (10**8, "10M<n<100M"))
@@ -126,9 +126,10 @@ def _caveats(manifest: Manifest) -> list[str]:
     elif manifest.profile != "paper":
         found.append(f"It was collected at profile {manifest.profile}, which is smaller than the paper's setting.")
     if manifest.has_suspect_schedule:
+        starts, ends = suspect_limits(manifest.steps)
         found.append(
-            f"Its schedule of k is suspect: k grew before {STARTS_TOO_EARLY:,} environment steps, or reached its bound within "
-            f"{ENDS_TOO_EARLY:,} steps of its first growth{f' ({manifest.k_grew})' if manifest.k_grew else ''}. A schedule this early says "
+            f"Its schedule of k is suspect: k grew before {starts:,} environment steps, or reached its bound within "
+            f"{ends:,} steps of its first growth{f' ({manifest.k_grew})' if manifest.k_grew else ''}. A schedule this early says "
             "more about the thresholds than about what was reachable."
         )
     found += [

@@ -6,15 +6,16 @@ in losses, rewards and bounds that the tests without a simulation run for all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
 
 from cudc_bench import plugins
 from cudc_bench.collectors.contract import CollectorContract, make
+from cudc_bench.collectors.cudc import CUDC
 from cudc_bench.collectors.rnd import RND
 
 # Two names for one class need the battery once.
@@ -46,6 +47,15 @@ def one_each(of: Callable[[str], Hashable]) -> list[str]:
     return list(found.values())
 
 
+def encoder(name: str) -> Hashable:
+    """What shapes a collector's representation."""
+    collector = make(name)
+    switches = ("encoder", "action_encoder", "inverse", "step_model", "reach", "state_target", "action_target", "inverse_k_batch")
+    return getattr(collector, "belief_loss", None) and type(collector).belief_loss, *(
+        getattr(collector.config, one, None) for one in switches
+    )
+
+
 COSTLY = {
     "test_a_last_short_episode_ends_the_dataset": one_each(flow),
     "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been": one_each(code),
@@ -53,6 +63,7 @@ COSTLY = {
     "test_physical_quantities_change_nothing_that_is_collected": one_each(flow),
     "test_skills_are_stored_as_the_actions_followed_them": one_each(code),
     "test_ten_thousand_steps_make_ten_valid_episodes_without_any_reward": one_each(flow),
+    "test_the_representation_does_not_collapse": one_each(encoder),
     "test_what_is_measured_for_diagnostics_never_reaches_the_method": one_each(flow),
 }
 
@@ -93,6 +104,14 @@ class Forgets(RND):
         return super().reward(batch) + torch.rand(len(self.seeds), 1)
 
 
+class Shrinks(CUDC):
+    """Nothing keeps its features apart."""
+
+    values: ClassVar[Mapping[str, Any]] = {
+        "reach": False, "regularize": False, "inverse": "none", "step_model": False, "k_max": 3, "state_target": "live",
+    }  # fmt: skip
+
+
 class Overshoots(RND):
     """Acts outside the bounds."""
 
@@ -107,6 +126,7 @@ class Overshoots(RND):
         (Shares, "test_members_learn_together_as_they_do_alone", ()),
         (Forgets, "test_a_restored_state_continues_identically", ()),
         (Forgets, "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been", (Path,)),
+        (Shrinks, "test_the_representation_does_not_collapse", ()),
         (Overshoots, "test_acts_deterministically_when_told_and_explores_otherwise", ()),
         (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1)),
     ],

@@ -9,7 +9,8 @@ import torch
 import torch.nn.functional as F
 
 from cudc_bench.collectors.base import Space
-from cudc_bench.collectors.cudc import CUDC, CUDCConfig, effective_rank
+from cudc_bench.collectors.cudc import CUDC, CUDCConfig
+from cudc_bench.collectors.representation import effective_rank
 from cudc_bench.networks import minimise
 from tests.evaluators.helpers import random_walker_data
 
@@ -64,7 +65,10 @@ def by_hand(c, batch, k):
         entropy[i] = math.log(1 + sum(distances[: config.neighbours]) / config.neighbours)
     surprise = np.linalg.norm(z_next - z_hat, axis=-1)
     target = {"live": z_next, "stopgrad": z_next, "momentum": momentum}[config.state_target]
-    w = 1 - reach
+    # A search among older futures, too.
+    older = c.older_keys[0, : int(c.keys_seen)].numpy().astype(np.float64)
+    everywhere = np.concatenate([scores, queries @ c.similarity.detach().numpy()[0] @ older.T / config.temperature], -1)
+    w = 1 - softmax(everywhere)[np.arange(size), np.arange(size)]
     return {
         "loss_forward": np.linalg.norm(target - z_hat, axis=-1).mean(),
         "loss_inverse": np.linalg.norm(az - a_hat, axis=-1).mean(),
@@ -88,7 +92,7 @@ def by_hand(c, batch, k):
         {},
         {"state_target": "stopgrad", "knn_exclude_self": True, "w_init": "scaled_identity"},
         {"state_target": "momentum", "action_target": "live", "temperature": 3.0, "alpha": 2.0, "beta": 0.5},
-        {"weight_mode": "mean_normalised", "c_w": 0.9, "clip_low": 0.99, "clip_high": 1.01, "neighbours": 5},
+        {"weight_mode": "mean_normalised", "keys": 100, "c_w": 0.9, "clip_low": 0.99, "clip_high": 1.01, "neighbours": 5},
     ],
     ids=["default", "stopped", "momentum", "normalised"],
 )
@@ -193,7 +197,8 @@ class Scripted(CUDC):
         self.log_reachable = log_reachable
 
     def features(self, batch):
-        return super().features(batch) | {"log_reachable": self.log_reachable.expand(len(self.seeds), batch.action.shape[1])}
+        reachable = self.log_reachable.expand(len(self.seeds), batch.action.shape[1])
+        return super().features(batch) | {"log_reachable": reachable, "log_found": reachable}
 
 
 def scripted(seeds=(1,), **settings):
@@ -239,16 +244,39 @@ def test_members_have_their_own_k_and_record_every_increment():
     assert second == {"k_increments": [], "k_schedule_suspect": False}
 
 
+@pytest.mark.parametrize("length", [1_000_000, 400_000])
 @pytest.mark.parametrize(
-    ("steps", "suspect"),
-    [((49_999,), True), ((50_000,), False), ((60_000, 90_000, 160_000), True), ((60_000, 90_000, 160_001), False), ((), False)],
+    ("shares", "suspect"),
+    [((0.049,), True), ((0.05,), False), ((0.06, 0.09, 0.16), True), ((0.06, 0.09, 0.161), False), ((), False)],
 )
-def test_a_schedule_is_suspect_when_it_starts_or_ends_too_early(steps, suspect):
+def test_a_schedule_is_suspect_when_it_starts_or_ends_too_early_for_its_run(shares, suspect, length):
     c = scripted()
-    c.space = Space("walker", 24, 6, 1000, 0, 1)
-    for row, step in enumerate(steps):
-        c.increments[0, row] = torch.tensor([float(step), 0.6, 0.3])
+    c.space = Space("walker", 24, 6, 1000, 0, 1, length)
+    for row, share in enumerate(shares):
+        c.increments[0, row] = torch.tensor([round(share * length), 0.6, 0.3])
     assert c.summary()[0]["k_schedule_suspect"] is suspect
+
+
+def test_w_is_that_of_a_search_among_the_minibatchs_keys_and_those_before_it():
+    c = make(seeds=(1, 2), keys=100)  # three minibatches of 32, and 4 of the fourth
+    seen = [[], []]
+    for step in range(6):
+        batch = batch_for(c, seed=step)
+        with torch.no_grad():
+            f = c.features(batch)
+        for member in range(2):
+            queries = c.projection(f["predicted"])[member].detach().double()
+            futures = c.momentum_projection(c.momentum_encoder(batch.next_observation))[member].double()
+            older = seen[member][-68:]
+            scores = (queries @ c.similarity[member].detach().double() @ torch.cat([futures, *(one[None] for one in older)]).T).exp()
+            own = scores.diagonal()
+            torch.testing.assert_close(f["log_found"][member].double(), (own / scores.sum(1)).log(), rtol=1e-4, atol=1e-5)
+            # The loss is a search among the minibatch.
+            torch.testing.assert_close(f["log_reachable"][member].double(), (own / scores[:, :32].sum(1)).log(), rtol=1e-4, atol=1e-5)
+            seen[member] += list(futures)
+        c.update(batch)
+        torch.testing.assert_close(batch.kept["w"], -torch.expm1(f["log_found"]))
+    assert make().older_keys.numel() == make(keys=32).older_keys.numel() == make(keys=7).older_keys.numel() == 0
 
 
 def test_a_perfectly_predicted_future_is_reachable():
@@ -310,10 +338,35 @@ def test_the_papers_values_per_domain():
 
 
 def test_effective_rank_of_known_spectra():
-    rank_two = torch.diag(torch.tensor([3.0, 3.0, 0.0, 0.0]))
-    uneven = torch.diag(torch.tensor([2.0, 1.0, 1.0, 0.0]))
+    def points(*sizes):
+        axes = torch.diag(torch.tensor(sizes))
+        return torch.cat([axes, -axes])
+
+    found = effective_rank(torch.stack([points(3.0, 3.0, 0.0, 0.0), points(2.0, 1.0, 1.0, 0.0), points(2.0, 1.0, 1.0, 0.0) + 50.0]))
     expected = math.exp(0.5 * math.log(2) + 0.5 * math.log(4))
-    torch.testing.assert_close(effective_rank(torch.stack([rank_two, uneven])), torch.tensor([2.0, expected]))
+    torch.testing.assert_close(found, torch.tensor([2.0, expected, expected]))
+    # Points that do not differ.
+    torch.testing.assert_close(effective_rank(torch.full((1, 8, 4), 0.7)), torch.ones(1))
+
+
+def test_what_is_measured_of_the_representation():
+    c = make(seeds=(1, 2))
+    batch = batch_for(c, measure=True)
+    with torch.no_grad():
+        f = c.features(batch)
+    found = c.update(batch)
+    for member in range(2):
+        z, z_next, action, predicted = (f[name][member].double().numpy() for name in ("z", "z_next", "action", "predicted"))
+        error, change = np.linalg.norm(z_next - predicted, axis=1).mean(), np.linalg.norm(z_next - z, axis=1).mean()
+        assert found["error_over_persistence"][member].item() == pytest.approx(error / change, rel=1e-4)
+        assert found["state_spread"][member].item() == pytest.approx(np.sqrt(z.var(0, ddof=1).sum()), rel=1e-4)
+        of_state = of_both = 0.0
+        for i in range(32):
+            squared = [(((z[i] - z[j]) ** 2).sum(), ((action[i] - action[j]) ** 2).sum()) for j in range(32)]
+            nearest = sorted(squared, key=sum)[:12]
+            of_state += sum(s for s, _ in nearest)
+            of_both += sum(map(sum, nearest))
+        assert found["action_share"][member].item() == pytest.approx(1 - of_state / of_both, rel=1e-3)
 
 
 def test_the_probe_batch_stays_the_same():

@@ -11,7 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Sequence
@@ -35,6 +34,8 @@ from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.manifest import read_manifest
 from cudc_bench.records import read_record
+
+from ..waiting import PATIENCE, wait_for
 
 Arrays = dict[str, np.ndarray]
 WALKER = DOMAINS["walker"]
@@ -602,13 +603,9 @@ def test_interrupted_an_import_leaves_nothing_that_can_be_seen(
     process = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     try:
         building = datasets / "walker" / ".proto-v0.building" / "data" / "main_data.hdf5"
-        deadline = time.monotonic() + 120
-        while not building.exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        wait_for(building.exists, process)
         process.send_signal(number)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
     assert minari.list_local_datasets() == {}

@@ -99,10 +99,19 @@ def test_icm(reward_scale):
     check(reward_of(icm, batch), np.log(1 + reward_scale * error))
 
 
+def merged(moments, batch):
+    """Mean, variance and count after a batch, as URLB merges them: each batch with its unbiased variance (spec, section 5.10)."""
+    mean, variance, n = moments
+    size, delta = batch.size, batch.mean() - mean
+    total = n + size
+    new = (variance * n + batch.var(ddof=1) * size + delta**2 * n * size / total) / total
+    return mean + delta * size / total, new, total
+
+
 def test_rnd():
     rnd = make("rnd", observation_clip=1.5)
     frozen = [x.copy() for x in parameters(rnd.random_network)]
-    seen = []
+    moments = (0.0, 1.0, 1e-4)
 
     def error(batch):
         s, *_ = arrays(batch)
@@ -114,13 +123,9 @@ def test_rnd():
         expected = error(batch).mean()
         loss, _ = learn(rnd, batch)
         check(loss, expected)
-        seen.append(error(batch))
-        # All errors so far, and a prior of mean 0 and variance 1 with a weight of a ten-thousandth of a number.
-        everything, prior = np.concatenate(seen), 1e-4
-        total = len(everything) + prior
-        mean = everything.sum() / total
-        variance = (((everything - mean) ** 2).sum() + prior * (1.0 + mean**2)) / total
-        check(reward_of(rnd, batch), seen[-1] / (math.sqrt(variance) + 1e-8), 1e-3)
+        seen = error(batch)
+        moments = merged(moments, seen)
+        check(reward_of(rnd, batch), seen / (math.sqrt(moments[1]) + 1e-8), 1e-4)
     assert all((x == y).all() for x, y in zip(frozen, parameters(rnd.random_network), strict=True))
 
 
@@ -190,6 +195,20 @@ def test_behavioural_entropy(alpha):
     check(reward_of(be, batch), -weighted * np.log(weighted) / density)
 
 
+@pytest.mark.parametrize("alpha", [0.5, 1.0, 2.0])
+def test_behavioural_entropy_as_a_third_party_reads_it(alpha):
+    be = make("be", alpha=alpha, particle_weight="distance", normalise_by="running_mean", distance_floor=0.1)
+    moments = (0.0, 1.0, 1e-4)
+    for step in range(3):
+        batch = batch_for(be, seed=step)
+        learn(be, batch)
+        distance = nearest(trunk(be.encoder, arrays(batch)[0]), 12).mean(-1)
+        moments = merged(moments, distance)
+        distance = np.maximum(distance / moments[0] - 0.1, 0.0)
+        weighted = math.log(12) ** (1 - alpha) * np.log(1 + distance) ** alpha
+        check(reward_of(be, batch), distance * weighted * np.exp(-weighted))
+
+
 def test_behavioural_entropy_is_apt_at_alpha_one():
     apt, be = make("apt"), make("be", alpha=1.0)
     batch = batch_for(apt)
@@ -255,6 +274,17 @@ def test_protorl_prototypes_pick_with_the_softmax_of_their_scores():
     np.testing.assert_allclose(counts / 4000, expected, atol=0.035)
 
 
+def test_protorls_prototypes_are_put_back_to_norm_one_before_loss_and_reward():
+    proto = make("proto")
+    np.testing.assert_allclose(np.linalg.norm(proto.prototypes.detach().numpy(), axis=-1), 1, rtol=1e-6)
+    for step in (proto.belief_loss, proto.reward):
+        with torch.no_grad():
+            proto.prototypes.mul_(3.0)
+        direction = proto.prototypes.detach().clone() / 3.0
+        step(batch_for(proto))
+        torch.testing.assert_close(proto.prototypes.detach(), direction)
+
+
 def test_protorls_slow_predictor_follows():
     proto = make("proto", encoder_tau=0.25)
     slow = [x.copy() for x in parameters(proto.slow_predictor)]
@@ -303,6 +333,11 @@ def test_smm(sign):
     check(metrics["loss_discriminator"], unrecognised.mean())
     check(loss, squared.mean() + 0.5 * divergence + unrecognised.mean())
     check(reward_of(smm, batch), squared.sum(-1) + math.log(4) + sign * unrecognised)
+
+
+def test_smms_mean_and_log_variance_start_orthogonal_each_on_its_own():
+    for head in parameters(make("smm").encoder)[-2].T.reshape(2, 128, 150):
+        np.testing.assert_allclose(head @ head.T, np.eye(128), atol=1e-5)
 
 
 def test_smms_networks_have_their_own_learning_rates():
@@ -356,13 +391,9 @@ def test_cic(divisor):
         losses.append(-math.log(similar[i] / (sum(similar) - similar[i])))
     loss, _ = learn(cic, batch)
     check(loss, np.mean(losses))
-    moments = [float(x) for x in (cic.moments.weight, cic.moments.mean, cic.moments.variance)]
+    moments = [float(x) for x in (cic.moments.mean, cic.moments.variance, cic.moments.weight)]
     distances = nearest(relu_layers(cic.state_network, following), 16)
-    weight, mean, variance = moments
-    total = weight + distances.size
-    new_mean = (weight * mean + distances.sum()) / total
-    second = (weight * (variance + mean**2) + (distances**2).sum()) / total
-    scale = second - new_mean**2
+    _, scale, _ = merged(moments, distances)
     scale = scale if divisor == "variance" else math.sqrt(scale)
     check(reward_of(cic, batch), np.log(1 + np.maximum(distances / scale - 5e-4, 0).mean(-1)), 1e-3)
 
@@ -376,16 +407,18 @@ def test_more_neighbours_than_a_minibatch_has_are_refused(name, settings):
 # Shared parts
 
 
-def test_running_moments_are_those_of_everything_seen():
-    moments, seen = RunningMoments(2, "cpu"), []
+def test_running_moments_merge_unbiased_variances():
+    moments, expected = RunningMoments(2, "cpu"), [(0.0, 1.0, 1e-4)] * 2
     generator = torch.Generator().manual_seed(0)
-    for scale in (1.0, 30.0, 0.1):
-        batch = torch.randn(2, 50, 3, generator=generator) * scale + scale
-        seen.append(batch.flatten(1))
+    for scale, size in ((1.0, 5), (30.0, 2), (0.1, 7)):
+        batch = torch.randn(2, size, 3, generator=generator) * scale + scale
         moments.add(batch)
-        everything = torch.cat(seen, 1)
-        torch.testing.assert_close(moments.mean, everything.mean(1), atol=1e-3, rtol=1e-3)
-        torch.testing.assert_close(moments.variance, everything.var(1, unbiased=False), atol=1e-3, rtol=1e-3)
+        expected = [merged(before, member.numpy().astype(np.float64)) for before, member in zip(expected, batch, strict=True)]
+        found = zip(moments.mean.tolist(), moments.variance.tolist(), [float(moments.weight)] * 2, strict=True)
+        np.testing.assert_allclose(list(found), expected, rtol=1e-5)
+    # One number says nothing of its spread.
+    moments.add(torch.ones(2, 1))
+    assert moments.variance.isfinite().all()
 
 
 def test_neighbours_among_other_points():

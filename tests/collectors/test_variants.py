@@ -40,10 +40,12 @@ TABLE = {
     **{f"cudc-kmax{k}": (ALL, "hidden", "features", "states and actions", "linear", "weight" if k > 3 else None, True, k)
        for k in range(3, 9)},
     "cudc-one-setting": (ALL, "hidden", "features", "states and actions", "linear", "weight", True, 6),
+    **{f"cudc-{target}": (ALL, "hidden", "features", "states and actions", "linear", "weight", True, 6)
+       for target in ("live", "stopgrad", "momentum")},
     "cudc-literal": (ALL, "hidden", "features", "states and actions", "linear", "weight", True, 6),
     "cudc-kmix": (ALL, "hidden", "features", "states and actions", "linear", "weight", True, 6),
 }  # fmt: skip
-ALIASES = [("cudc-reach", "cudc-no-regularize"), ("cudc-no-vary", "cudc-kmax3"), ("cudc", "cudc-kmax6")]
+ALIASES = [("cudc-reach", "cudc-no-regularize"), ("cudc-no-vary", "cudc-kmax3"), ("cudc", "cudc-kmax6"), ("cudc", "cudc-live")]
 THRESHOLDS = {"weight": "c_w", "reward": "c_r", "error": "c_e"}
 
 

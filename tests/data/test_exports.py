@@ -21,6 +21,8 @@ import cudc_bench
 from cudc_bench.data.writer import Episode
 from cudc_bench.errors import UsageError
 
+from ..waiting import PATIENCE
+
 ROOT = Path(__file__).resolve().parents[2]
 ID, UNLABELLED = "walker/walk/made-v0", "walker/made-v0"
 # Of different lengths, so that a reader which is wrong by a row an episode cannot be right by chance; the shortest has a single step.
@@ -272,7 +274,7 @@ def example(script: str, library: str) -> Any:
 @pytest.mark.parametrize("script", [example("d3rlpy_td3bc", "d3rlpy"), example("torchrl_offline", "torchrl")])
 def test_the_example_trains_and_plays(script: str, smoke: Path, environment: dict[str, str], tmp_path: Path) -> None:
     command = [sys.executable, ROOT / "examples" / f"{script}.py", "walker/walk/cudc-v0", "--steps", "20", "--episodes", "1"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     (result,) = re.findall(r"^mean return of 1 episodes in cudc_bench/walker-walk-v0: (\S+)$", done.stdout, re.MULTILINE)
     assert 0 < float(result) < 1000

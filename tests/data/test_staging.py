@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -22,9 +21,11 @@ from cudc_bench.data.staging import publish, staging
 from cudc_bench.errors import RunError
 from cudc_bench.ids import parse_id
 
+from ..waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
+
 ID = parse_id("walker/made-v0")
 LONG = {"steps": 10_000}  # about a second
-COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=10000"]
+COLLECT = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--set", "steps=10000", "--checkpoint-every", "0"]
 
 
 def everything(root: Path) -> list[str]:
@@ -46,15 +47,6 @@ def started(command: list[str], **arguments: object) -> Iterator[subprocess.Pope
     finally:
         process.kill()
         process.communicate()
-
-
-def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
-    """Until a path exists, which the living process makes."""
-    deadline = time.monotonic() + 120
-    while not path.exists():
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline, f"{path} never came"
-        time.sleep(0.001)
 
 
 def break_off(error: BaseException) -> None:
@@ -161,14 +153,11 @@ def test_a_lock_file_that_its_holder_removed_is_no_lock(datasets: Path, monkeypa
 
 
 def test_of_two_processes_on_one_id_one_runs_and_the_other_says_so(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    building = datasets / "walker" / ".random-v0.building"
-    with started(COLLECT, env=environment, cwd=tmp_path) as first:
-        wait_for(building / "diagnostics.jsonl", first)
-        first.send_signal(signal.SIGSTOP)
-        second = subprocess.run(COLLECT, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-        assert building.exists(), "it was not stopped in the middle"
+    with started(COLLECT, env=environment | STOPS_ITSELF, cwd=tmp_path) as first:
+        wait_for(lambda: has_stopped(first.pid), first)
+        second = subprocess.run(COLLECT, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
         first.send_signal(signal.SIGCONT)
-        out, err = first.communicate(timeout=300)
+        out, err = first.communicate(timeout=PATIENCE)
     assert (first.returncode, out) == (0, "walker/random-v0\n"), err
     assert (second.returncode, second.stdout) == (1, "")
     assert [line for line in second.stderr.splitlines() if "error" in line] == [

@@ -26,7 +26,7 @@ from cudc_bench.leaderboard.render import diagnostics_to_rich
 from cudc_bench.manifest import KEY, Base, Import, Manifest, metadata_path
 
 Rows = Sequence[dict[str, Any]]
-FIGURES = {"k.svg", "k.pdf", "losses.svg", "losses.pdf"}
+FIGURES = {"k.svg", "k.pdf", "losses.svg", "losses.pdf"}  # and, where one was measured, of the representation
 HOSTILE = "[red]x[/red] $\\frac{$ <b> &amp; \x1b[31m\n ]]>"
 
 
@@ -450,7 +450,7 @@ def test_the_command_on_real_datasets(cli: Callable, datasets: Path, tmp_path: P
     assert done.err == ""
     assert "walker, profile smoke (collect: steps=2000)" in done.out
     files = [tmp_path / line for line in done.out.splitlines() if line.startswith("report/")]
-    assert {file.name for file in files} == FIGURES
+    assert {file.name for file in files} == FIGURES | {"representation.svg", "representation.pdf"}
     assert sorted(file for file in (tmp_path / "report").rglob("*") if file.is_file()) == sorted(files)
     assert "random" not in texts(next(file for file in files if file.name == "k.svg").read_bytes())
     before = {file: file.read_bytes() for file in files}

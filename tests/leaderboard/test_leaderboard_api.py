@@ -12,6 +12,8 @@ from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 from cudc_bench.leaderboard.incremental import LEDGER
 
+from ..waiting import PATIENCE
+
 FILES = {"table.md", "table.tex", "table.csv"}
 FILES |= {f"{name}.{kind}" for name in ("curves", "bars") for kind in ("svg", "pdf")} | {"task-walk.svg"}
 OVERALL = {"overall.md", "overall.tex", "overall.csv", "scores.csv", "intervals.svg", "intervals.pdf", "profiles.svg", "profiles.pdf"}
@@ -154,7 +156,7 @@ def modules_after(code):
     listing = f"{code}\nimport sys; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     return set(
         subprocess.run(
-            [sys.executable, "-c", listing], check=True, capture_output=True, text=True, timeout=120
+            [sys.executable, "-c", listing], check=True, capture_output=True, text=True, timeout=PATIENCE
         ).stdout.split("\n")[-2].split()
     )  # fmt: skip
 

@@ -28,6 +28,8 @@ from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.table import build_blocks, tables_of
 from cudc_bench.records import Record
 
+from ..waiting import PATIENCE
+
 html5lib = pytest.importorskip("html5lib", reason="html5lib is not installed: pip install 'cudc-bench[dev]'")
 WALK_PAGE = "paper.td3.walker/task-walk.html"
 
@@ -326,7 +328,7 @@ def test_the_checker_of_the_w3c_finds_nothing(report):
     names = ("index.html", WALK_PAGE, "paper.td3.walker/index.html", "paper.td3.walker/runs-walk.icm.html", "methods/method-icm.html",
              "methods/index.html", "datasets/index.html", "cpu.td3/index.html")  # fmt: skip
     pages = [report / name for name in names] + sorted((report / "datasets").glob("walker-*.html"))[:2]
-    done = subprocess.run([java, "-jar", str(jar), "--format", "text", *map(str, pages)], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([java, "-jar", str(jar), "--format", "text", *map(str, pages)], capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, [line for line in done.stderr.splitlines() if ".html" in line]) == (0, [])
 
 

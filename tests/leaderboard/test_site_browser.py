@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from ..waiting import PATIENCE
+
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install 'cudc-bench[dev]'")
 CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
@@ -27,7 +29,7 @@ class Reader:
     def __init__(self, browser: Any, report: Path, **options: Any) -> None:
         self.report = report
         self.context = browser.new_context(offline=True, **{"viewport": {"width": 1280, "height": 900}, **options})
-        self.context.set_default_timeout(5000)
+        self.context.set_default_timeout(1000 * PATIENCE)
         self.wrong: list[str] = []
         self.page = self.context.new_page()
         self.page.on("console", lambda message: self.wrong.append(message.text) if message.type in {"error", "warning"} else None)

@@ -88,7 +88,7 @@ def runs(make_record: Callable) -> Callable[..., list[Record]]:
 def test_the_studies_methods_are_those_of_the_collectors_variants() -> None:
     points = {point.name: point.value for point in plugins.entry_points(group="cudc_bench.collectors")}
     variants = {name for name, value in points.items() if value.startswith("cudc_bench.collectors.variants:")}
-    assert variants | {"cudc-kmax6"} == STUDY_METHODS
+    assert variants | {"cudc-kmax6", "cudc-live"} == STUDY_METHODS
     twins = {frozenset(pair) for pair in itertools.combinations(sorted(points), 2) if points[pair[0]] == points[pair[1]]}
     assert {frozenset(pair) for pair in ALIASES.items()} == twins
     assert {method for plan in PLANS for method in plan.methods} <= points.keys()
@@ -527,7 +527,7 @@ def everything(runs: Callable) -> list[Record]:
 def test_every_study_is_shown_in_every_format_and_repeatable(everything: list[Record]) -> None:
     studies, again = (studies_of(records) for records in (everything, everything[::-1]))
     assert [study.slug.rpartition(".")[2] for study in studies] == [
-        "variants", "schedule", "ablation", "k-bound", "controls", "sizes", "learners",
+        "variants", "schedule", "ablation", "k-bound", "controls", "readings", "sizes", "learners",
     ]  # fmt: skip
     assert len({study.slug for study in studies}) == len(studies)
     for study, other in zip(studies, again, strict=True):

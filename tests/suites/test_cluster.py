@@ -15,6 +15,7 @@ import pytest
 import cudc_bench
 from cudc_bench.errors import RunError, UsageError
 
+from ..waiting import PATIENCE
 from .test_run import TINY, records
 
 SUITE = TINY.replace('["random"]', '["random", "icm", "cudc"]').replace("seeds = 1", "seeds = [1, 2]").replace(
@@ -63,7 +64,7 @@ def test_two_nodes_of_which_one_is_lost_make_the_same_records(environment: dict[
     (tmp_path / "driver.py").write_text(DRIVER)
     command = [sys.executable, "driver.py", str(tmp_path / "shared"), "records"]
     # Ray's own words about the lost node go to standard error.
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=500)
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr[-3000:]
     jobs, kept, failed, removed, killed, alive = json.loads(done.stdout.splitlines()[-1])
     assert (jobs, kept, failed, killed, alive) == (18, 0, [], 1, 1)

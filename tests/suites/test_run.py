@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,6 +31,8 @@ from cudc_bench.suites.api import prepare
 from cudc_bench.suites.definition import load_suite
 from cudc_bench.suites.jobs import expand
 from cudc_bench.suites.work import Common, check_same, do, is_ours, remove
+
+from ..waiting import PATIENCE, wait_for
 
 TINY = """
 methods = ["random"]
@@ -171,15 +172,6 @@ def started(cli_environment: dict[str, str], folder: Path, *options: str) -> sub
     return subprocess.Popen(command, cwd=folder, env=cli_environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def wait_for(what: Callable[[], Any], seconds: float = 60.0) -> Any:
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if found := what():
-            return found
-        time.sleep(0.02)
-    raise AssertionError("it never came")
-
-
 def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
     environment: dict[str, str], datasets: Path, tmp_path: Path
 ) -> None:
@@ -193,20 +185,20 @@ def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
         return max((int(path.stem) for path in kept.glob("*.pt")), default=0)
 
     first = started(environment, tmp_path)
-    wait_for(newest)
+    wait_for(newest, first)
     worker = int(re.search(r"process (\d+):", log.read_text())[1])  # type: ignore[index]
     first.kill()
     first.communicate()
-    wait_for(lambda: not lives(worker), 20)
+    wait_for(lambda: not lives(worker))
     reached = newest()
 
     second = started(environment, tmp_path)
-    wait_for(lambda: newest() > reached)
+    wait_for(lambda: newest() > reached, second)
     # Two schedulers into one folder: the second says who is there.
     with pytest.raises(HeldError, match=f"process {second.pid} is writing a suite into "):
         cudc_bench.run_suite(str(tmp_path / "my.toml"), output=tmp_path / "results", report=tmp_path / "report")
     os.killpg(second.pid, signal.SIGINT)
-    _, said = second.communicate(timeout=60)
+    _, said = second.communicate(timeout=PATIENCE)
     assert second.returncode == 130, said
     assert re.search(r"error: interrupted: 0 of 3 jobs done; .*random seed 1 at step [\d,]+ of 6,000,000; the same command continues", said)
     assert newest() > reached
