@@ -501,9 +501,9 @@ def cudc_losses(f: dict[str, Tensor], b: Sample, parts: Parts, first_k: int, sta
     return losses
 
 
-def curiosity(m: Explorer, f: dict[str, Tensor], keys: int) -> Tensor:
+def curiosity(m: Explorer, f: dict[str, Tensor], keys: int | None) -> Tensor:
     """w = 1 - l (spec 3.5) in a search among the minibatch's keys and, up to that many in all, the last ones before it, as they were."""
-    capacity = max(keys - len(f["c"]), 0)
+    capacity = max((keys or 0) - len(f["c"]), 0)
     queue = m.kept.setdefault("older_keys", torch.zeros(capacity, f["c"].shape[1]))
     seen = m.kept.setdefault("keys_seen", 0)
     rows = []
@@ -546,7 +546,7 @@ def cudc(
     c_e: float | None = None,
     momentum_tau: float = 0.05,
     temperature: float = 1.0,
-    keys: int = 1024,
+    keys: int | None = None,
     loss_weights: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
     state_target: str = "live",
     action_target: str = "stopgrad",
@@ -684,6 +684,7 @@ ORACLES: dict[str, Callable[..., Found]] = {
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True),
     "cudc-vary-apt": partial(cudc, parts=RELATIVES["cudc-vary-apt"], beta=0.0, reward_after_update=True),
     "cudc-one-setting": partial(cudc, parts=Parts(), alpha=1e-3, beta=1e-2, clip_low=0.2, clip_high=1.0, c_w=0.02),
+    "cudc-no-reach": partial(cudc, parts=RELATIVES["cudc-no-reach"], state_target="stopgrad"),
     "cudc-stopgrad": partial(cudc, parts=Parts(), state_target="stopgrad"),
     "cudc-momentum": partial(cudc, parts=Parts(), state_target="momentum"),
     "cudc-literal": partial(cudc, parts=Parts(), state_target="live", action_target="live"),

@@ -8,6 +8,7 @@ in which collectors run, gives the same within its own rounding is a test of its
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ import torch
 from torch import Generator, Tensor
 
 from cudc_bench import plugins
+from cudc_bench.collectors.contract import SPACES
 from cudc_bench.replay import Batch
 from cudc_bench.seeding import stream_seed
 from tests.plain import assert_same, doubles, noisy, perturb, trunk_mlp
@@ -28,7 +30,7 @@ SEEDS, SIZE, FEATURES, RATE = (1, 2), 20, 14, 1e-3
 FURTHER = ((0, 2), (1, 0), (3, 2))
 SMALL_SIZES: dict[str, dict[str, Any]] = {"proto": {"prototypes": 8, "queue_size": 16, "projection_hidden": 10}}
 # Values that differ from a method's own, one dictionary for each further run. Those that name a threshold make k grow, but not each time.
-GROWING = {"temperature": 20.0, "c_w": 0.959, "keys": 20}
+GROWING = {"temperature": 20.0, "c_w": 0.959}
 FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
     "icm": [
         {"reward_scale": 2.5, "discount": 0.9, "critic_tau": 0.2},
@@ -60,15 +62,21 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
         {"weight_mode": "mean_normalised", "clip_low": 0.99, "clip_high": 1.01, "patience": 2} | GROWING | {"c_w": 0.98},
         {"reward_after_update": True, "min_dwell": 4} | GROWING,
         {"reward_after_update": True, "keys": 24},
+        {"keys": 1024},
         {"c_k": 0.7, "min_dwell": 1} | GROWING | {"c_w": 0.9715},
         {"horizon": 4, "w_init": "scaled_identity"},
     ],
     "cudc-vary-icm": [{"threshold_dwell": 0, "c_r": 1.9}, {"threshold_dwell": 4, "c_r": 2.0}, {"state_target": "momentum"}],
     "cudc-vary-apt": [{"threshold_dwell": 0, "c_r": 1.312}, {"threshold_dwell": 4, "c_r": 1.4}, {"state_target": "momentum"}],
     "cudc-reward": [{"threshold_dwell": 0, "c_r": 1.405}, {"threshold_dwell": 2, "c_r": 1.42}, {"state_target": "stopgrad"}],
-    "cudc-no-reach": [{"threshold_dwell": 0, "c_e": 2.8}, {"threshold_dwell": 2, "c_e": 2.9}, {"state_target": "momentum"}],
+    "cudc-no-reach": [
+        {"threshold_dwell": 0, "c_e": 2.8},
+        {"threshold_dwell": 2, "c_e": 2.9},
+        {"state_target": "momentum"},
+        {"state_target": "live"},
+    ],
     "cudc-kmax4": [GROWING],
-    "cudc-normal-k": [{"normal_steps": 6000, "normal_std": 0.5}],
+    "cudc-normal-k": [{"normal_steps": 6000, "normal_std": 0.5}, {"normal_steps": 10, "normal_std": 0.0, "seed_steps": 2}],
     "cudc-kmix": [{"state_target": "momentum"} | GROWING],
 }
 # Bookkeeping of the rule for k, compared as what comes of it: k, and the manifest's list of its increments.
@@ -106,9 +114,10 @@ def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     return common | settings
 
 
-def given(name: str, values: dict[str, Any]) -> Any:
+def given(name: str, values: dict[str, Any], seed_steps: int = 4000) -> Any:
     """A collector whose every weight was moved: nothing is zero, one, or equal to its slow copy by construction."""
-    collector = make(name, SEEDS, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
+    space = replace(SPACES["walker"], seed_steps=seed_steps)
+    collector = make(name, SEEDS, space, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
     perturb(collector, scale=0.1, seed=3)
     return collector.double()
 
@@ -182,10 +191,11 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
     if name not in ORACLES:
         pytest.fail(f"the collector '{name}' is registered but has no oracle: write down its formulas in tests/collectors/oracles.py")
     values = of_a_run(name, settings)
+    seed_steps = values.pop("seed_steps", 4000)
     own = {key: value for key, value in values.items() if key not in AGENT}
     agent = {key: value for key, value in values.items() if key in AGENT} | {"learning_rate": RATE}
     with doubles():
-        collector = given(name, values)
+        collector = given(name, values, seed_steps)
         assert collector.horizon.tolist() == [settings.get("horizon", 6 if name == "apt-k6" else 3)] * len(SEEDS)
         members = [Explorer(collector, e) for e in range(len(SEEDS))]
         seen = watch(collector)
