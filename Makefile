@@ -9,7 +9,7 @@ DEMO := $(CURDIR)/demo
 KILLS ?= 200
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format screenshots bench torture mutants wheel-check clean
+.PHONY: help setup demo test test-fast lint format screenshots bench torture mutants wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -35,6 +35,9 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 
 test: setup  ## Run the tests.
 	$(BIN)/pytest -n auto --dist worksteal
+
+test-fast: setup  ## Run the tests that take no whole run of anything: two minutes.
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow"
 
 lint: setup  ## Check style and types.
 	$(BIN)/ruff check .

@@ -35,6 +35,7 @@ __all__ = [
     "load_policy",
     "load_transitions",
     "make_leaderboard",
+    "make_references",
     "measure_quality",
     "pilot",
     "relabel",
@@ -46,8 +47,8 @@ __all__ = [
     "verify",
 ]
 _STAGES = (
-    "collect", "pilot", "import_exorl", "relabel", "evaluate", "load_policy", "render_policy", "export_policy", "make_leaderboard",
-    "submit", "draw_diagnostics", "measure_quality", "run_suite",
+    "collect", "pilot", "import_exorl", "relabel", "evaluate", "make_references", "load_policy", "render_policy", "export_policy",
+    "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite",
 )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ def list_command(
     from rich.console import Console
 
     from cudc_bench.files import check_folder
+    from cudc_bench.records import REFERENCE, record_files, visible_files
 
     folder = check_folder(results, "the folder of the records", writable=False)
     console = Console()
@@ -24,9 +25,8 @@ def list_command(
         console.print(table)
     for line in _unfinished():
         console.print(line, markup=False, highlight=False)
-    found = folder.rglob("*.json") if folder.is_dir() else []
-    count = sum(not any(part.startswith(".") for part in file.relative_to(folder).parts) for file in found)
-    console.print(f"Records in {folder}: {count}", markup=False)
+    records, references = len(record_files(folder)), len(visible_files(folder, REFERENCE))
+    console.print(f"Records in {folder}: {records}; references: {references}", markup=False)
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -1,4 +1,4 @@
-"""How an offline algorithm is trained and evaluated: what its run is told, and what its record must therefore hold."""
+"""How an algorithm is trained and evaluated, offline or online: what its run is told, and what its record must therefore hold."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from cudc_bench.config import LATER, PositiveInt, Precision, as_dict, build
+from cudc_bench.config import LATER, NonNegativeFloat, NonNegativeInt, PositiveInt, Precision, as_dict, build
 from cudc_bench.errors import UsageError
-from cudc_bench.profiles import Profile
+from cudc_bench.profiles import PAPER_STEPS, Profile
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,36 @@ class EvaluateConfig:
     final_episodes: PositiveInt = 50
     milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
     precision: Precision = field(default="float32", metadata=LATER)
+
+
+@dataclass(frozen=True)
+class OnlineConfig:
+    """How long an agent trains on a task itself, collecting its own data, and how often it is evaluated.
+
+    Attributes:
+        steps: environment steps, as many as a dataset has.
+        seed_steps: steps of uniformly random actions before the first update.
+        update_every: environment steps for each update.
+        exploration_std: of the Gaussian noise around the policy's actions while it collects, as collectors have it.
+        evaluations: how many there are after the first, which comes before any step: at equal distances, the last after the last step.
+        evaluation_episodes: episodes of each evaluation, with the deterministic policy.
+        final_episodes: episodes of a further evaluation after the last step, and of each floor.
+        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
+    """
+
+    steps: PositiveInt = PAPER_STEPS
+    seed_steps: NonNegativeInt = 4_000
+    update_every: PositiveInt = 2
+    exploration_std: NonNegativeFloat = 0.2
+    evaluations: PositiveInt = 10
+    evaluation_episodes: PositiveInt = 10
+    final_episodes: PositiveInt = 50
+    precision: Precision = field(default="float32", metadata=LATER)
+
+    @property
+    def points(self) -> list[int]:
+        """The environment steps after which the policy is evaluated, in their order, from 0 to the last."""
+        return list(dict.fromkeys(index * self.steps // self.evaluations for index in range(self.evaluations + 1)))
 
 
 def check_milestones(loop: EvaluateConfig) -> None:

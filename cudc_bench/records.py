@@ -28,16 +28,19 @@ from cudc_bench.files import check_regular, unwritable, write_atomically
 from cudc_bench.manifest import RewardFunction, Source
 
 SCHEMA_VERSION = 1
+REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.references``
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
-_Domain = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63})$")]
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
+DomainName = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63})$")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """Refuses what it does not know, and does not change."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class DatasetReference(_Strict):
+class DatasetReference(Strict):
     """The dataset that was trained on.
 
     Attributes:
@@ -53,7 +56,7 @@ class DatasetReference(_Strict):
 
     id: str
     fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    domain: _Domain
+    domain: DomainName
     task: Name
     method: Name
     seed: Annotated[int, Field(ge=0)]
@@ -65,11 +68,11 @@ class DatasetReference(_Strict):
     used: Annotated[int, Field(ge=1)] | None = None
 
 
-class Evaluation(_Strict):
+class Evaluation(Strict):
     """Undiscounted returns of the episodes of one evaluation after so many gradient steps."""
 
     step: Annotated[int, Field(ge=0)]
-    returns: Annotated[list[_Finite], Field(min_length=1)]
+    returns: Annotated[list[Finite], Field(min_length=1)]
 
     @property
     def mean(self) -> float:
@@ -77,14 +80,14 @@ class Evaluation(_Strict):
         return sum(self.returns) / len(self.returns)
 
 
-class TrainingMetrics(_Strict):
+class TrainingMetrics(Strict):
     """Losses and values of the minibatch after so many gradient steps."""
 
     step: Annotated[int, Field(ge=0)]
-    values: dict[str, _Finite]
+    values: dict[str, Finite]
 
 
-class Submission(_Strict):
+class Submission(Strict):
     """Who handed in a record that was not made here; nothing but ``cudc-bench submit`` writes it.
 
     Attributes:
@@ -109,7 +112,7 @@ class Submission(_Strict):
         return note
 
 
-class Record(_Strict):
+class Record(Strict):
     """One offline training run.
 
     Attributes:
@@ -224,6 +227,17 @@ def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profi
     return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}.json")
 
 
+def record_files(folder: Path) -> list[Path]:
+    """Every record below a folder, sorted; none of what is kept there of runs that are not done, which is hidden, and no reference."""
+    return [path for path in visible_files(folder, "*.json") if path.name != REFERENCE]
+
+
+def visible_files(folder: Path, pattern: str) -> list[Path]:
+    """The files below a folder that fit a pattern, sorted, without hidden ones and those in hidden folders."""
+    found = (path for path in sorted(folder.rglob(pattern)) if not path.is_dir())
+    return [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+
+
 def to_json(record: Record) -> str:
     """A record as it stands in its file."""
     return record.model_dump_json(indent=1) + "\n"
@@ -272,6 +286,11 @@ def parse_record(content: bytes, path: Path) -> Record:
     try:
         return Record.model_validate_json(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise RunError(f"{path} is not a run record: {where}: {first['msg']}.") from None
+        raise RunError(f"{path} is not a run record: {first_fault(error)}.") from None
+
+
+def first_fault(error: ValidationError) -> str:
+    """Where a file does not fit its schema, and why not."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the file"
+    return f"{where}: {first['msg']}"

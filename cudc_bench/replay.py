@@ -59,32 +59,35 @@ class Episodes:
         random: the members' streams for drawing indices.
         source_of_member: (E,) which source each member samples; member e samples source e by default.
         skill: K, the size of the skill that each action follows; 0 for none.
+        rewards: whether episodes come with rewards; each member then has a source of its own.
     """
 
     def __init__(
         self, sources: int, episodes: int, steps: int, observation: int, action: int,
-        random: MemberRandom, source_of_member: list[int] | None = None, skill: int = 0,
+        random: MemberRandom, source_of_member: list[int] | None = None, skill: int = 0, rewards: bool = False,
     ) -> None:  # fmt: skip
         device = random.device
         self.random = random
         self.observations = torch.zeros(sources, steps + episodes, observation, device=device)
         self.actions = torch.zeros(sources, steps, action, device=device)
         self.skills = torch.zeros(sources, steps, skill, device=device) if skill else None
-        self.rewards: Tensor | None = None
+        self.rewards: Tensor | None = torch.zeros(sources, steps, device=device) if rewards else None
         self.starts = torch.zeros(sources, episodes, dtype=torch.int64, device=device)
         self.lengths = torch.zeros(sources, episodes, dtype=torch.int64, device=device)
         self.counts = torch.zeros(sources, dtype=torch.int64, device=device)
         self.source = torch.tensor(source_of_member or list(range(random.count)), device=device)
         self._filled = [(0, 0)] * sources
 
-    def add(self, source: int, observations: Tensor, actions: Tensor, skills: Tensor | None = None) -> None:
-        """Append one finished episode: observations (T+1, S), actions (T, A), and, where there are skills, skills (T, K)."""
+    def add(self, source: int, observations: Tensor, actions: Tensor, skills: Tensor | None = None, rewards: Tensor | None = None) -> None:
+        """Append one finished episode: observations (T+1, S), actions (T, A), and, where there are some, skills (T, K) and rewards (T,)."""
         episode, start = self._filled[source]
         length = actions.shape[0]
         self.observations[source, start + episode : start + episode + length + 1] = observations.to(self.random.device)
         self.actions[source, start : start + length] = actions.to(self.random.device)
         if self.skills is not None and skills is not None:
             self.skills[source, start : start + length] = skills.to(self.random.device)
+        if self.rewards is not None and rewards is not None:
+            self.rewards[source, start : start + length] = rewards.to(self.random.device)
         self.starts[source, episode] = start
         self.lengths[source, episode] = length
         self.counts[source] = episode + 1

@@ -28,7 +28,7 @@ class LogTarget:
     Attributes:
         kind: one of :data:`LOGS`.
         folder: the log folder of all runs.
-        stage: ``"collect"`` or ``"evaluate"``.
+        stage: ``"collect"``, ``"evaluate"`` or ``"reference"``.
         profile, domain: of the run.
         place: the run's own folder below ``<folder>/<stage>/<profile>/``; no two runs share it.
         name: of the run among those of its stage, profile and domain, such as ``"cudc-seed1"``.

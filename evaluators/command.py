@@ -1,4 +1,4 @@
-"""``cudc-bench evaluate``."""
+"""``cudc-bench evaluate`` and ``cudc-bench reference``."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ from cudc_bench.options import (
     with_precision,
 )
 
+OutputOption = Annotated[str, typer.Option("--output", help="Folder of the records.")]
+
 
 def evaluate(
     algo: AlgoOption = "td3",
@@ -48,7 +50,7 @@ def evaluate(
         str | None, typer.Option("--dataset-size", help="Only the first so many transitions; several by commas.")
     ] = None,
     reward: RewardOption = None,
-    output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
+    output: OutputOption = "results",
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
@@ -74,4 +76,40 @@ def evaluate(
     )  # fmt: skip
     for path in paths:
         print(path)
+    say(f"next: cudc-bench leaderboard {output}")
+
+
+def reference(
+    domain: DomainOption = "walker",
+    tasks: TasksOption = "all",
+    seeds: SeedsOption = "1-3",
+    profile: ProfileOption = "auto",
+    settings: SetOption = None,
+    precision: PrecisionOption = None,
+    output: OutputOption = "results",
+    overwrite: OverwriteOption = False,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = None,
+    log: LogOption = None,
+    log_dir: LogDirOption = LOG_DIR,
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    fresh: FreshOption = False,
+) -> None:
+    """Measure random actions, and TD3 trained online on tasks: the floor and the ceiling that scores are normalised between."""
+    from cudc_bench.config import parse_settings
+    from cudc_bench.progress import say
+    from cudc_bench.references import read_reference
+
+    from .reference import make_references
+
+    paths = make_references(
+        domain, parse_tasks(tasks), parse_seeds(seeds), profile=profile, settings=with_precision(parse_settings(settings or []), precision),
+        output=output, overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir,
+        checkpoint_every=checkpoint_every, fresh=fresh,
+    )  # fmt: skip
+    for path in paths:
+        print(path)
+        found = read_reference(path)
+        bounds = found.bounds
+        say(f"{found.task}: random {bounds.floor:.1f}, untrained {bounds.untrained:.1f}, trained online {bounds.ceiling:.1f}")
     say(f"next: cudc-bench leaderboard {output}")

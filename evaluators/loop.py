@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from cudc_bench import interrupts
 from cudc_bench.checkpoints import Checkpoints
@@ -45,6 +46,73 @@ class Outcome:
     metrics: list[tuple[int, dict[str, float]]]
 
 
+class Ledger:
+    """What comes out for each member, while it does; logs hear of it as well.
+
+    Args:
+        members: E.
+        logs: for each member or for none, take the training metrics and, as ``return_mean`` and ``final_return_mean``, the mean returns.
+
+    Attributes:
+        outcomes: so far.
+    """
+
+    def __init__(self, members: int, logs: Sequence[RunLog] = ()) -> None:
+        self.outcomes = [Outcome([], [], []) for _ in range(members)]
+        self._logs = logs
+
+    @property
+    def evaluated(self) -> int:
+        """The step of the last evaluation of the curve; -1 before the first."""
+        return self.outcomes[0].curve[-1][0] if self.outcomes[0].curve else -1
+
+    def add_returns(self, step: int, returns: Float64) -> None:
+        """Returns (E, n) of an evaluation of the curve."""
+        for outcome, row in zip(self.outcomes, returns, strict=True):
+            outcome.curve.append((step, row.tolist()))
+        self._log(step, ({"return_mean": float(row.mean())} for row in returns))
+
+    def add_metrics(self, step: int, rows: Sequence[dict[str, float]]) -> None:
+        """Each member's training metrics."""
+        for outcome, values in zip(self.outcomes, rows, strict=True):
+            outcome.metrics.append((step, values))
+        self._log(step, rows)
+
+    def add_final(self, step: int, returns: Float64) -> None:
+        """Returns (E, n) of the final evaluation."""
+        for outcome, row in zip(self.outcomes, returns, strict=True):
+            outcome.final.extend(row.tolist())
+        self._log(step, ({"final_return_mean": float(row.mean())} for row in returns))
+
+    def _log(self, step: int, rows: Iterable[Mapping[str, float]]) -> None:
+        for one, row in zip(self._logs, rows, strict=False):
+            one.add(step, row)
+
+    def state_dict(self) -> list[Any]:
+        """All so far."""
+        return [[list(outcome.curve), list(outcome.final), list(outcome.metrics)] for outcome in self.outcomes]
+
+    def load_state_dict(self, state: list[Any]) -> None:
+        """Go back to where ``state_dict`` was called; the logs hear of it all."""
+        self.outcomes = [Outcome(*parts) for parts in state]
+        for outcome, one in zip(self.outcomes, self._logs, strict=False):
+            measured = [(step, values) for step, values in outcome.metrics]
+            scored = [(step, {"return_mean": sum(returns) / len(returns)}) for step, returns in outcome.curve]
+            for step, values in sorted([*measured, *scored], key=lambda row: row[0]):
+                one.add(step, values)
+
+
+class Actor(Protocol):
+    """What can be tried in an arena."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where it takes observations."""
+
+    def act(self, observation: Tensor) -> Tensor:
+        """Actions (E, n, A) in [-1, 1] for observations (E, n, S)."""
+
+
 class Arena:
     """Simulators in which a stack of policies is tried, all episodes of all members side by side.
 
@@ -66,7 +134,21 @@ class Arena:
         self._simulators: list[Simulator] = []
         self._shares: list[slice] = []
 
-    def returns(self, agent: Evaluator, seeds: Sequence[Sequence[int]]) -> Float64:
+    def evaluate(self, agent: Actor, seeds: Sequence[int], purpose: str, step: int, episodes: int) -> Float64:
+        """Undiscounted returns (E, n) of an evaluation's episodes.
+
+        Args:
+            agent: E members.
+            seeds: theirs.
+            purpose, step: which evaluation; its episodes start where no other's do.
+            episodes: n.
+
+        Raises:
+            BrokenDownError, Interrupted: as :meth:`returns`.
+        """
+        return self.returns(agent, [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in seeds])
+
+    def returns(self, agent: Actor, seeds: Sequence[Sequence[int]]) -> Float64:
         """Undiscounted returns (E, n) of the deterministic policies; episode j of member e starts from ``seeds[e][j]``.
 
         Raises:
@@ -140,7 +222,7 @@ def run_evaluation(
         advance: told how many gradient steps have been done since it was last called.
         checkpoints: where the run's state is kept from time to time; what is found there is continued, with the same result as
             if it had never stopped.
-        logs: for each member or for none, take the training metrics and, as ``return_mean`` and ``final_return_mean``, the mean returns.
+        logs: see :class:`Ledger`.
 
     Raises:
         RunError: training diverged (a metric is not finite), or a simulation did.
@@ -154,24 +236,16 @@ def run_evaluation(
         data.random,
         graphs_for(agent, agent.device),
     )
-    outcomes = [Outcome([], [], []) for _ in agent.seeds]
-
-    def log(step: int, rows: Iterable[Mapping[str, float]]) -> None:
-        for one, row in zip(logs, rows, strict=False):
-            one.add(step, row)
+    ledger = Ledger(len(agent.seeds), logs)
 
     def restore(_: int, state: dict[str, Any]) -> None:
         agent.load_state_dict(state["agent"])
         data.random.load_state_dict(state["draws"])
-        outcomes[:] = [Outcome(*parts) for parts in state["outcomes"]]
-        for outcome, one in zip(outcomes, logs, strict=False):
-            measured = [(step, values) for step, values in outcome.metrics]
-            scored = [(step, {"return_mean": sum(returns) / len(returns)}) for step, returns in outcome.curve]
-            for step, values in sorted([*measured, *scored], key=lambda row: row[0]):
-                one.add(step, values)
+        ledger.load_state_dict(state["outcomes"])
 
-    def evaluate(purpose: str, episodes: int) -> Float64:
-        return arena.returns(agent, [[episode_seed(seed, purpose, step, episode) for episode in range(episodes)] for seed in agent.seeds])
+    def state() -> dict[str, Any]:
+        # All that the rest of a run depends on. The episodes of an evaluation depend on its step alone.
+        return {"agent": agent.state_dict(), "draws": data.random.state_dict(), "outcomes": ledger.state_dict()}
 
     step = start = 0 if checkpoints is None else checkpoints.load(restore, agent.device)
     advance(start)
@@ -179,13 +253,10 @@ def run_evaluation(
     try:
         for step in range(start, config.gradient_steps + 1):
             last = step == config.gradient_steps
-            if (step % config.evaluate_every == 0 or last) and (not outcomes[0].curve or outcomes[0].curve[-1][0] < step):
-                returns = evaluate("evaluation", config.evaluation_episodes)
-                for outcome, row in zip(outcomes, returns, strict=True):
-                    outcome.curve.append((step, row.tolist()))
-                log(step, ({"return_mean": float(row.mean())} for row in returns))
+            if (step % config.evaluate_every == 0 or last) and ledger.evaluated < step:
+                ledger.add_returns(step, arena.evaluate(agent, agent.seeds, "evaluation", step, config.evaluation_episodes))
             if checkpoints is not None and checkpoints.due():
-                checkpoints.save(step, _state(agent, data, outcomes))
+                checkpoints.save(step, state())
             if interrupts.requested():
                 raise interrupts.interrupted("")
             if last:
@@ -193,26 +264,14 @@ def run_evaluation(
             measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
             metrics, _ = updates(measure)
             if measure:
-                rows = member_rows(metrics, step + 1)
-                for outcome, values in zip(outcomes, rows, strict=True):
-                    outcome.metrics.append((step + 1, values))
-                log(step + 1, rows)
+                ledger.add_metrics(step + 1, member_rows(metrics, step + 1))
             if step + 1 - told >= _TELL_EVERY or step + 1 == config.gradient_steps:
                 advance(step + 1 - told)
                 told = step + 1
-        returns = evaluate(FINAL, config.final_episodes)
+        ledger.add_final(step, arena.evaluate(agent, agent.seeds, FINAL, step, config.final_episodes))
     except interrupts.Interrupted:
         # Raised between two updates, or in the middle of an evaluation, which leaves no trace: the state is that after ``step`` updates.
         if checkpoints is not None:
-            checkpoints.save(step, _state(agent, data, outcomes))
+            checkpoints.save(step, state())
         raise interrupts.interrupted(f"at gradient step {step:,} of {config.gradient_steps:,}") from None
-    for outcome, row in zip(outcomes, returns, strict=True):
-        outcome.final.extend(row.tolist())
-    log(config.gradient_steps, ({"final_return_mean": float(row.mean())} for row in returns))
-    return outcomes
-
-
-def _state(agent: Evaluator, data: Episodes, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """All that the rest of a run depends on. The episodes of an evaluation depend on its step alone."""
-    parts = [[list(outcome.curve), list(outcome.final), list(outcome.metrics)] for outcome in outcomes]
-    return {"agent": agent.state_dict(), "draws": data.random.state_dict(), "outcomes": parts}
+    return ledger.outcomes

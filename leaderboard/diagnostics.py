@@ -29,7 +29,7 @@ from .table import METHOD_ORDER, differing, ordered, slug, span
 FILE = "diagnostics.jsonl"
 LOSSES = {"loss_forward": "forward", "loss_inverse": "inverse", "loss_step": "step", "loss_reach": "contrastive"}
 REPRESENTATION = {
-    "error_over_persistence": "forward error over persistence", "effective_rank": "effective rank of z", "state_spread": "spread of z",
+    "error_over_persistence": "error over persistence", "effective_rank": "effective rank of z", "state_spread": "spread of z",
     "action_share": "actions' share of distances",
 }  # fmt: skip
 _NUMBERS = ("k", *LOSSES, *REPRESENTATION, "coverage_cells", "coverage_entropy")

@@ -17,7 +17,7 @@ from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
 from cudc_bench.progress import bar_if_long
 from cudc_bench.provenance import is_own_command
-from cudc_bench.records import Evaluation, Record, parse_record, read_content
+from cudc_bench.records import Evaluation, Record, parse_record, read_content, record_files
 
 from .plans import canonical
 
@@ -50,7 +50,7 @@ class Loaded:
 
 
 def load_records(paths: Iterable[Path]) -> Loaded:
-    """Read records from files, and from every ``*.json`` below folders in sorted order.
+    """Read records from files, and all below folders in sorted order.
 
     Two records of one training run (same group, dataset, algorithm and seed, handed in by the same person if at all) are a duplicate: the
     newest is kept.
@@ -185,13 +185,11 @@ def short(steps: float) -> str:
 
 
 def files(paths: Iterable[Path]) -> list[Path]:
-    """Files, and every ``*.json`` below folders in sorted order, each once."""
+    """Files, and every record below folders in sorted order, each once."""
     found: dict[str, Path] = {}
     for path in paths:
-        for file in sorted(path.rglob("*.json")) if path.is_dir() else [path]:
-            # Hidden is what evaluations keep that are not done.
-            if not file.is_dir() and not any(part.startswith(".") for part in file.relative_to(path).parts):
-                found.setdefault(os.path.realpath(file), file)
+        for file in record_files(path) if path.is_dir() else [path]:
+            found.setdefault(os.path.realpath(file), file)
     return list(found.values())
 
 

@@ -184,15 +184,22 @@ def overall_to_rich(overall: Overall) -> Group:
     return Group(title, shown, Text("\n".join(lines), style="dim"))
 
 
+REPRESENTATION_COLUMNS = {"error_over_persistence": "error", "effective_rank": "rank", "state_spread": "spread"}
+
+
 def diagnostics_to_rich(comparison: Comparison) -> Group:
-    """For a terminal: a line for each dataset, with k at the end, when it grew, whether that is suspect, and the last coverage."""
+    """For a terminal: a line for each dataset, with k at the end, when it grew, whether that is suspect, and the last coverage.
+
+    Where some have a representation, also its last forward error over persistence, effective rank and spread.
+    """
     from rich import box
     from rich.console import Group
     from rich.table import Table as Grid
     from rich.text import Text
 
     shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
-    for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy"):
+    measured = REPRESENTATION_COLUMNS if comparison.having(REPRESENTATION_COLUMNS) else {}
+    for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy", *measured.values()):
         shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
     for run in comparison.runs:
         cells, entropy = run.last("coverage_cells"), run.last("coverage_entropy")
@@ -203,6 +210,7 @@ def diagnostics_to_rich(comparison: Comparison) -> Group:
             "\n".join(map(str, run.manifest.k_growth)),
             ("yes" if run.manifest.has_suspect_schedule else "no") if adapts else "",
             "" if cells is None else f"{cells:,.0f}", "" if entropy is None else f"{entropy:.2f}",
+            *("" if (value := run.last(name)) is None else f"{value:.3g}" for name in measured),
         )  # fmt: skip
         shown.add_row(*(Text(cell or "–") for cell in row))
     return Group(Text(f"{comparison.domain}, profile {comparison.group}", style="bold"), shown)

@@ -48,6 +48,10 @@ COMMANDS = {
         "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=16", "--set", "evaluate_every=8",
         "--set", "milestones=[8,16]", "--checkpoint-every", "0",
     ],
+    "reference": [
+        "reference", "--domain", "jaco", "--task", "reach_top_left", "--seeds", "1-2", "--set", "steps=1100", "--set", "seed_steps=300",
+        "--set", "update_every=30", "--set", "evaluations=2", "--set", "final_episodes=1", "--checkpoint-every", "0",
+    ],
     "suite": ["run", "suite.toml", "--checkpoint-every", "0"],
 }  # fmt: skip
 SUITE = """

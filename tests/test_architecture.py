@@ -20,8 +20,8 @@ SOURCES = {path: stage for stage in STAGES for path in sorted((ROOT / stage).rgl
 DATA = [path for path in CORE if path.parent.name == "data" or path.name in {"ids.py", "manifest.py", "records.py"}]
 # Of the stages whose methods are one file each, the files that are none.
 OTHERS = {
-    "api", "command", "contract", "exorl", "exporting", "imports", "journal", "loop", "pilot", "policies", "policy_commands", "rendering",
-    "representation", "rollout", "setting", "thresholds", "video", "__init__",
+    "api", "command", "contract", "exorl", "exporting", "imports", "journal", "loop", "online", "pilot", "policies", "policy_commands",
+    "reference", "rendering", "representation", "rollout", "setting", "thresholds", "video", "__init__",
 }  # fmt: skip
 METHODS = [path for path, stage in SOURCES.items() if stage in {"collectors", "evaluators"} and path.stem not in OTHERS]
 ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get

@@ -24,8 +24,8 @@ from .waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
-    "collect", "pilot", "import-exorl", "relabel", "evaluate", "render", "export", "leaderboard", "submit", "diagnostics", "stats",
-    "verify", "list", "doctor",
+    "collect", "pilot", "import-exorl", "relabel", "evaluate", "reference", "render", "export", "leaderboard", "submit", "diagnostics",
+    "stats", "verify", "list", "doctor",
 )  # fmt: skip
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.
@@ -76,6 +76,10 @@ REFUSALS = {
     "evaluate --set evaluate_every=7": "the milestone 20 is never evaluated",
     "evaluate --output /dev/null/below": "the output '/dev/null/below' cannot be a folder: '/dev/null' is a file.",
     "evaluate --dataset-id ../evil-v0": "'../evil-v0' is not a dataset id",
+    "reference --task jump": "unknown walker task 'jump'",
+    "reference --set gradient_steps=5": "nothing here is called 'gradient_steps'.",
+    "reference --precision tf32": "precision=tf32 is for CUDA",
+    "reference --checkpoint-every -1": "--checkpoint-every",
     "evaluate --method random --workers 0": "--workers takes 1 or more, not 0.",
     "leaderboard nowhere": "there are no results at 'nowhere'",
     "diagnostics walker/walk/cudc-v0": "is labelled for walk; the diagnostics are those of its base 'walker/cudc-v0'.",

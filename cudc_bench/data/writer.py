@@ -145,6 +145,10 @@ class EpisodeShards:
                     rewards = np.load(file, allow_pickle=False) if has_rewards else None
                     yield Episode(int(seed) if has_seed else None, observations, actions, infos, rewards)
 
+    def episodes(self) -> Iterator[Episode]:
+        """See :class:`~cudc_bench.interaction.EpisodeStore`."""
+        return iter(self)
+
     def remove(self) -> None:
         """Delete the shards: the dataset is complete without them."""
         shutil.rmtree(self._folder, ignore_errors=True)

@@ -17,7 +17,7 @@ from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.manifest import read_manifest, stored_ids
 from cudc_bench.provenance import processor
-from cudc_bench.records import read_record
+from cudc_bench.records import read_record, record_files
 
 from .jobs import Job
 
@@ -109,8 +109,7 @@ def measured_here(profile: str, device: str, output: Path) -> Rates:
             manifest = read_manifest(one)
             if manifest.task is None and manifest.imported is None and manifest.profile == profile and is_here(manifest.machine):
                 rates.add("collect", manifest.domain, manifest.method, manifest.seconds, manifest.steps)
-    paths = (path for path in (output / profile).rglob("*.json") if not path.name.startswith("."))
-    for path in sorted(paths)[:_MOST_RECORDS]:
+    for path in record_files(output / profile)[:_MOST_RECORDS]:
         with suppress(RunError):
             record = read_record(path)
             if is_here(record.machine):

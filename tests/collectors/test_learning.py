@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench.collectors import loop
+from cudc_bench import interaction
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.loop import CollectConfig, run_collection
 from cudc_bench.envs import Domain
@@ -109,7 +109,7 @@ def visited(name: str) -> int:
 @pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "cudc"])
 def test_covers_more_of_a_square_than_random_actions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     simulators: Callable[[str, int], list[PointMass]] = lambda domain, count: [PointMass() for _ in range(count)]  # noqa: E731
-    monkeypatch.setattr(loop, "make_simulators", simulators)
+    monkeypatch.setattr(interaction, "make_simulators", simulators)
     assert visited(name) > 1.4 * visited("random")
 
 

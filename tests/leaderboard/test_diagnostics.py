@@ -19,8 +19,8 @@ from rich.console import Console
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.leaderboard.diagnostic_figures import diagnostic_files, draw_k, draw_losses
-from cudc_bench.leaderboard.diagnostics import LOSSES, compare, draw_diagnostics, read_diagnostics, series
+from cudc_bench.leaderboard.diagnostic_figures import diagnostic_files, draw_k, draw_losses, draw_representation
+from cudc_bench.leaderboard.diagnostics import LOSSES, REPRESENTATION, compare, draw_diagnostics, read_diagnostics, series
 from cudc_bench.leaderboard.figures import looks
 from cudc_bench.leaderboard.render import diagnostics_to_rich
 from cudc_bench.manifest import KEY, Base, Import, Manifest, metadata_path
@@ -108,6 +108,23 @@ def test_lines_are_means_over_seeds_and_bands_sample_deviations(put: Callable) -
         (line,) = lines_of(panel)
         assert line.get_xdata().tolist() == [2000, 3000, 4000, 5000]
         np.testing.assert_allclose(line.get_ydata(), [(number + 1) / index * np.mean([1, 2, 5]) for index in (1, 2, 3, 4)])
+
+
+def test_a_collapse_can_be_seen_in_figure_and_table(put: Callable) -> None:
+    rows = [
+        row | {"error_over_persistence": 1.0 + index / 10, "effective_rank": 9.0 - index, "state_spread": 0.5 / index, "action_share": 0.5}
+        for index, row in enumerate(learning((3, 3, 3, 3))[1:], start=1)
+    ]
+    put(rows=rows), put("icm")
+    (comparison,) = draw_diagnostics(output=None).comparisons
+    panels = draw_representation(comparison).axes
+    assert [panel.get_title() for panel in panels] == list(REPRESENTATION.values())
+    line, persistence = (one.get_ydata() for one in panels[0].get_lines())
+    assert [*line] == pytest.approx([row["error_over_persistence"] for row in rows])
+    assert [*persistence] == [1, 1]
+    heads, _, _, cudc = (text.split() for text in shown(comparison).splitlines()[1:])
+    assert heads[-3:] == ["error", "rank", "spread"]
+    assert cudc[-3:] == [f"{rows[-1][name]:.3g}" for name in ("error_over_persistence", "effective_rank", "state_spread")]
 
 
 def test_one_seed_is_a_thin_staircase_without_a_band(put: Callable) -> None:

@@ -34,6 +34,14 @@ def test_what_is_not_a_record_is_one_line_and_stops_nothing(content, make_record
     assert problem.isprintable()
 
 
+def test_references_beside_records_are_no_records(make_record, save):
+    results = save(make_record())
+    (results / "cpu" / "walker" / "walk" / "reference.json").write_text("{}")
+    loaded = load_records([results])
+    assert len(loaded.records) == 1
+    assert loaded.problems == ()
+
+
 def test_a_dangling_link_is_reported(make_record, save):
     results = save(make_record())
     (results / "gone.json").symlink_to(results / "nowhere")
