@@ -47,7 +47,8 @@ class CIC(DDPG):
 
     As in the authors' code and unlike the paper: the reward is the entropy term alone, without the contrastive one, and the distances
     are between next states. Unlike that code, whose replay is URLB's and pairs an action with the skill of the step after it, an action
-    comes with the skill that it followed.
+    comes with the skill that it followed; and the own pair's term is left out of the contrastive sum as it is, where that code subtracts
+    e^(1/T), the term of a pair that matches exactly.
     """
 
     config_class: ClassVar[type] = CICConfig

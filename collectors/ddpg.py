@@ -169,7 +169,7 @@ class DDPG(Learner, Collector):
         """The factor (E, 1) of the next value: γ^k, since s' lies k steps ahead; or plain γ, as the paper prints it."""
         if self.config.td_discount == "gamma":
             return torch.full((len(self.seeds), 1), self.config.discount, device=self.device)
-        return (self.config.discount ** batch.horizon.float())[:, None]
+        return (self.config.discount ** batch.horizon.to(batch.observation.dtype))[:, None]
 
     def _update_critic(self, batch: Batch, reward: Tensor, weight: Tensor | None) -> dict[str, Tensor]:
         with torch.no_grad():

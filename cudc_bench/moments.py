@@ -35,7 +35,7 @@ class RunningMoments(nn.Module):
         count = values.shape[1]
         # One number has no unbiased variance.
         variance, mean = torch.var_mean(values, dim=1, correction=min(1, count - 1))
-        share = (count / (self.weight + count)).float()
+        share = (count / (self.weight + count)).to(values.dtype)
         difference = mean - self.mean
         self.variance += share * (variance - self.variance) + share * (1.0 - share) * difference.square()
         self.mean += share * difference

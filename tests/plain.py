@@ -52,7 +52,9 @@ def assert_same(found: Tensor, expected: Tensor, what: str) -> None:
     cancel, such as those of a log-density whose deviation is e^-10. No more than 1e-9 was seen.
     """
     assert found.dtype == expected.dtype == torch.float64, f"{what} is {found.dtype}, and should be float64"
-    bound = 1e-8 * float(expected.abs().max())
+    bound = 1e-8 * float(expected.abs().max()) if expected.numel() else 0.0
+    if found.shape == expected.shape and bool(((found - expected).abs() <= bound).all()):
+        return  # without the tenth of a millisecond that it takes to say what differs
     torch.testing.assert_close(found, expected, rtol=0.0, atol=bound, msg=lambda text: f"{what} differs. {text}")
 
 
