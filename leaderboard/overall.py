@@ -7,19 +7,21 @@ What enters a comparison, for one group, algorithm and milestone:
    returns divided by it.
 3. A collector seed of a method enters with all tasks of its domain or not at all, since it is the unit of replication. Several training
    runs on one dataset count once, as their mean.
-4. A method has the same number of seeds in each domain, so that no domain weighs more than another: if it has more in some, the first
-   ones by number enter.
 
-So methods are always compared on the same tasks; what was left out is said in :attr:`Comparison.left_out`. The numbers of seeds may
-differ between methods: they are independent samples.
+So methods are always compared on the same tasks; what was left out is said in :attr:`Comparison.left_out`. The numbers of seeds may differ
+between methods, which are independent samples, and between a method's domains: every task weighs the same, however many seeds it has.
+
+The mean over tasks leads: it weighs every task alike for every method. The interquartile mean, which other papers lead with, is shown
+beside it; over few tasks of unequal scale it cuts off the easiest and the hardest and not runs that went
+astray.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from statistics import fmean
 
 import numpy as np
@@ -31,28 +33,30 @@ from cudc_bench.records import Record
 from . import statistics
 from .incremental import computed
 from .load import column, short, submitted_columns
-from .statistics import SIGNIFICANCE, Counts, Floats, Integers, Interval
-from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span, submitted_caption
+from .statistics import SIGNIFICANCE, Floats, Interval, Scores
+from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, extent, group_slug, ordered, span, submitted_caption
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
+LEAD = next(iter(statistics.AGGREGATES))
+NAMES = {"mean": "mean", "iqm": "IQM", "median": "median", "optimality_gap": "optimality gap"}
 ALL = "all domains"
-PRELIMINARY = "Preliminary: fewer than five seeds, whose intervals hold the truth less often than they say."
+PRELIMINARY = "Preliminary: fewer than five seeds."
 Task = tuple[str, str]
-Resamples = Callable[[int, int, str], Counts]  # of so many seeds in so many blocks, by name
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic of one method and its 95 % intervals, which do not exist for a single seed.
+    """A statistic of one method and its 95 % intervals.
 
     Attributes:
         value: of the scores themselves.
-        cluster: datasets resampled with all their tasks; this is the one to read.
-        stratified: runs resampled independently for each task, plain percentiles, as rliable does; too narrow where tasks share a dataset.
+        interval: Student's over datasets, each with all its tasks; this is the one to read. None if a domain has a single seed.
+        stratified: runs resampled independently for each task, plain percentiles, as rliable does; too narrow where tasks share a
+            dataset. None also if the method has more seeds in one domain than in another.
     """
 
     value: float
-    cluster: Interval | None
+    interval: Interval | None
     stratified: Interval | None
 
 
@@ -62,18 +66,18 @@ class Standing:
 
     Attributes:
         method: its name, as in tables.
-        returns: (n, T) mean undiscounted returns; row i of a domain's columns is that domain's i-th collector seed.
+        returns: mean undiscounted returns, (n, T) for each domain; row i is the domain's i-th collector seed.
         scores: the same divided by the tasks' largest returns.
-        seeds: for each domain the n collector seeds.
-        estimates: of ``iqm``, ``median``, ``mean`` and ``optimality_gap``, see :mod:`.statistics`.
+        seeds: for each domain the collector seeds.
+        estimates: of ``mean``, ``iqm``, ``median`` and ``optimality_gap``, see :mod:`.statistics`.
         profile: share of runs above each of :data:`THRESHOLDS`.
-        band: borders of its pointwise 95 % intervals; None for one seed.
-        ranks: probability of each rank by IQM, from 1; None for one seed.
+        band: borders of its pointwise 95 % intervals; None where estimates have none.
+        ranks: probability of each rank by the mean, from 1; None unless all methods have the same seeds, see :attr:`Comparison.unranked`.
     """
 
     method: str
-    returns: Floats = field(repr=False)
-    scores: Floats = field(repr=False)
+    returns: Scores = field(repr=False)
+    scores: Scores = field(repr=False)
     seeds: Mapping[str, tuple[int, ...]]
     estimates: Mapping[str, Estimate]
     profile: Floats = field(repr=False)
@@ -81,9 +85,19 @@ class Standing:
     ranks: tuple[float, ...] | None
 
     @property
-    def n(self) -> int:
+    def counts(self) -> list[int]:
         """Collector seeds in each domain."""
-        return len(self.scores)
+        return [len(seeds) for seeds in self.seeds.values()]
+
+    @property
+    def n(self) -> int:
+        """Collector seeds in the domain with the fewest."""
+        return min(self.counts)
+
+    @property
+    def seeds_text(self) -> str:
+        """How many collector seeds it has in a domain: ``"5"``, or ``"3 to 5"``."""
+        return extent(min(self.counts), max(self.counts))
 
 
 @dataclass(frozen=True)
@@ -93,7 +107,7 @@ class Pair:
     Attributes:
         method, other: their names.
         probability: that a run of ``method`` is better than one of ``other`` on the same task.
-        interval: its 95 % interval by the cluster bootstrap; None if either has a single seed, as p-values are then.
+        interval: its 95 % interval; None if either has a single seed in a domain, as p-values are then.
         p: two-sided, by permutation of datasets.
         holm: p corrected for the comparisons of ``method`` with all others.
         better: whether it is an improvement: the whole interval is above ½ and the corrected p below 0.05.
@@ -134,14 +148,37 @@ class Comparison:
         return tuple(standing.method for standing in self.standings)
 
     @property
+    def domains(self) -> tuple[str, ...]:
+        """Those of its tasks, in the order of scores."""
+        return tuple(dict.fromkeys(domain for domain, _ in self.tasks))
+
+    @property
     def seeds(self) -> str:
         """How many collector seeds a method has in a domain, such as ``"5 seeds"``."""
-        return span([standing.n for standing in self.standings], "seed")
+        return span([count for standing in self.standings for count in standing.counts], "seed")
+
+    @property
+    def unranked(self) -> str | None:
+        """Why no method has a probability of a rank; None if all have.
+
+        How likely a method is to come first depends on how sure its own mean is and on how sure all others' are: of methods with other
+        seeds it would say who was run more often.
+        """
+        if len(self.standings) < 2:
+            return "there is one method only"
+        if any(standing.seeds != self.standings[0].seeds for standing in self.standings):
+            return "the methods do not have the same collector seeds"
+        return "each method has a single seed in a domain" if self.standings[0].n < 2 else None
 
     @property
     def preliminary(self) -> bool:
         """Whether a method has fewer than five seeds."""
         return any(standing.n < ENOUGH_SEEDS for standing in self.standings)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know of it, in sentences."""
+        return (f"No probabilities of ranks: {self.unranked}.",) if self.unranked and len(self.standings) > 1 else ()
 
     @property
     def title(self) -> str:
@@ -181,10 +218,11 @@ class Overall:
         """What the numbers are, in plain ASCII except for what records bring along."""
         return (
             f"Returns of {self.algorithm} divided by each task's largest possible return, over collector seeds and tasks."
-            f" Profile: {self.group}. IQM: mean without the lowest and highest quarter of runs. Median: of the tasks' means. Optimality"
-            " gap: mean of max(0, 1 - score), smaller is better. In square brackets: 95 % intervals by a cluster bootstrap"
-            " (datasets resampled with all their tasks; expanded percentiles; 10,000 resamples, fixed seed)."
-            " In braces: the plain stratified bootstrap, which takes a dataset's tasks for independent and is too narrow."
+            f" Profile: {self.group}. Mean: of the tasks' means. IQM: mean without the lowest and highest quarter of runs; of tasks of"
+            " unequal scale it leaves out the easiest and the hardest. Median: of the tasks' means. Optimality gap: mean of max(0, 1 -"
+            " score), smaller is better. In square brackets: 95 % intervals by Student's t over datasets, each with all its tasks"
+            " (jackknife). In braces: rliable's stratified bootstrap (10,000 resamples, fixed seed), which takes a dataset's tasks for"
+            " independent and is too narrow."
             " A single seed has no interval."
             + submitted_caption(self.submitted)
             + (f" {PRELIMINARY}" if any(comparison.preliminary for comparison in self.comparisons) else "")
@@ -192,9 +230,9 @@ class Overall:
 
 
 PAIRS_CAPTION = (
-    "Probability that a run of the row's method is better than one of the column's on the same task (ties count half). Bold: an"
-    " improvement, which is a 95 % interval by the cluster bootstrap above 0.5 and a two-sided p below 0.05 by a permutation of datasets,"
-    " after Holm's correction for the row's comparisons."
+    "Probability that a run of the row's method is better than one of the column's on the same task (ties count half), with 95 % intervals"
+    " over datasets. Bold: an improvement, which is an interval above 0.5 and a two-sided p below 0.05 by a permutation of datasets, after"
+    " Holm's correction for the row's comparisons."
 )
 
 
@@ -210,9 +248,7 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
     for table in tables:
         groups[table.records[0].group, table.algorithm].append(table)
     found = []
-    # Every milestone and algorithm draws the same for a method; they need no more memory than one of them.
-    resamples = cache(lambda n, blocks, name: statistics.counted(statistics.draw(n, blocks, name)))
-    wanted = [(group, algorithm, one) for group, algorithm in sorted(groups) for one in _comparisons(groups[group, algorithm], resamples)]
+    wanted = [(group, algorithm, one) for group, algorithm in sorted(groups) for one in _comparisons(groups[group, algorithm])]
     compared_all: dict[tuple[str, str], list[Comparison]] = defaultdict(list)
     results = computed([compare for _, _, compare in wanted], "comparing methods", "comparisons")
     for (group, algorithm, _), comparison in zip(wanted, results, strict=True):
@@ -232,7 +268,7 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
 _Domain = dict[str, dict[str, dict[int, float]]]
 
 
-def _comparisons(tables: Sequence[Table], resamples: Resamples) -> list[Callable[[], Comparison | None]]:
+def _comparisons(tables: Sequence[Table]) -> list[Callable[[], Comparison | None]]:
     """Functions that make them, where they can be made."""
     found: list[Callable[[], Comparison | None]] = []
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
@@ -256,7 +292,7 @@ def _comparisons(tables: Sequence[Table], resamples: Resamples) -> list[Callable
             scopes += [(name, {name: results}) for name, results in domains.items()]
         for scope, part in scopes:
             left_out = notes if scope == ALL or len(domains) == 1 else []
-            found.append(partial(_compare, scope, milestone, part, left_out, resamples))
+            found.append(partial(_compare, scope, milestone, part, left_out))
     return found
 
 
@@ -277,9 +313,7 @@ def _results(records: Sequence[Record], milestone: int) -> _Domain:
     return found
 
 
-def _compare(
-    scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str], resamples: Resamples
-) -> Comparison | None:  # fmt: skip
+def _compare(scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str]) -> Comparison | None:
     left_out = list(notes)
     every = ordered({method for results in domains.values() for method in results}, METHOD_ORDER)
     methods = []
@@ -297,36 +331,39 @@ def _compare(
                 tasks.append((domain, task))
             elif having:
                 left_out.append(f"{domain} {task}: {', '.join(m for m in methods if m not in having)} lacks it.")
-    entering: dict[str, tuple[Floats, dict[str, tuple[int, ...]]]] = {}
+    entering: dict[str, _Entering] = {}
     for method in methods:
-        chosen, lines = _seeds(method, domains, tasks)
+        seeds, lines = _seeds(method, domains, tasks)
         left_out += lines
-        if chosen:
-            columns = [[domains[domain][method][task][seed] for seed in chosen[domain]] for domain, task in tasks]
-            entering[method] = np.array(columns, np.float64).T, chosen
+        if seeds:
+            returns = [
+                np.array([[domains[domain][method][task][seed] for one, task in tasks if one == domain] for seed in of], np.float64)
+                for domain, of in seeds.items()
+            ]
+            entering[method] = returns, seeds
     if not entering:
         return None
-    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out], resamples)
+    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out])
+
+
+# The returns of a method in each domain, and its collector seeds there.
+_Entering = tuple[Scores, dict[str, tuple[int, ...]]]
 
 
 def _seeds(method: str, domains: Mapping[str, _Domain], tasks: Sequence[Task]) -> tuple[dict[str, tuple[int, ...]], list[str]]:
     """The seeds of a method that enter, for each domain with tasks; none if a domain has none."""
     lines = []
-    complete: dict[str, list[int]] = {}
+    complete: dict[str, tuple[int, ...]] = {}
     for domain in dict.fromkeys(domain for domain, _ in tasks):
         wanted = [domains[domain][method][task] for one, task in tasks if one == domain]
         having = sorted(set.intersection(*(set(seeds) for seeds in wanted)))
         partial = sorted(set.union(*(set(seeds) for seeds in wanted)) - set(having))
         if partial:
             lines.append(f"{method}, {domain}, {_numbers(partial)}: without all of the tasks.")
-        complete[domain] = having
-    count = min(map(len, complete.values()), default=0)
-    if count == 0:
-        return {}, [*lines, f"{method}: no collector seed has all of a domain's tasks."] if tasks else lines
-    for domain, seeds in complete.items():
-        if len(seeds) > count:
-            lines.append(f"{method}, {domain}, {_numbers(seeds[count:])}: on other domains it has {span([count], 'seed')} only.")
-    return {domain: tuple(seeds[:count]) for domain, seeds in complete.items()}, lines
+        complete[domain] = tuple(having)
+    if not all(complete.values()):
+        return {}, [*lines, f"{method}: no collector seed has all of a domain's tasks."]
+    return complete, lines
 
 
 def _numbers(seeds: Sequence[int]) -> str:
@@ -335,67 +372,63 @@ def _numbers(seeds: Sequence[int]) -> str:
 
 
 def _comparison(
-    scope: str, milestone: int, tasks: tuple[Task, ...],
-    entering: Mapping[str, tuple[Floats, dict[str, tuple[int, ...]]]], left_out: Sequence[str], resamples: Resamples,
+    scope: str, milestone: int, tasks: tuple[Task, ...], entering: Mapping[str, _Entering], left_out: Sequence[str]
 ) -> Comparison:  # fmt: skip
-    names = list(dict.fromkeys(domain for domain, _ in tasks))
-    blocks = np.array([names.index(domain) for domain, _ in tasks], np.int64)
-    largest = np.array([DOMAINS[domain].max_return for domain, _ in tasks])
-    scores = {method: returns / largest for method, (returns, _) in entering.items()}
-    several = [method for method in scores if len(scores[method]) > 1]
-    draws = {method: resamples(len(scores[method]), len(names), f"cluster {method}") for method in several}
-    found = {method: _estimates(method, scores[method], blocks, draws.get(method), resamples) for method in scores}
-    ranks = statistics.rank_shares(np.stack([found[method][1] for method in several])) if several else np.zeros((0, 0))
-    standings = []
-    for method, (returns, seeds) in entering.items():
-        counts = draws.get(method)
-        standings.append(
-            Standing(
-                method=method,
-                returns=returns,
-                scores=scores[method],
-                seeds=seeds,
-                estimates=found[method][0],
-                profile=statistics.profile(scores[method], THRESHOLDS),
-                band=None if counts is None else statistics.profile_band(scores[method], blocks, counts, THRESHOLDS),
-                ranks=None if counts is None else tuple(ranks[several.index(method)].tolist()),
-            )
-        )
-    return Comparison(scope, milestone, tasks, tuple(standings), tuple(_pairs(scores, blocks, draws)), tuple(left_out))
-
-
-def _estimates(
-    method: str, scores: Floats, blocks: Integers, counts: Counts | None, resamples: Resamples
-) -> tuple[dict[str, Estimate], Floats]:  # fmt: skip
-    """Each aggregate, and the IQM of every resample."""
-    values = {name: float(aggregate(scores)) for name, aggregate in statistics.AGGREGATES.items()}
-    if counts is None:
-        return {name: Estimate(value, None, None) for name, value in values.items()}, np.empty(0)
-    n, tasks = scores.shape
-    cluster = statistics.bootstrapped(scores, blocks, counts)
-    stratified = statistics.bootstrapped(scores, np.arange(tasks), resamples(n, tasks, f"stratified {method}"))
-    expanded, plain_tail = statistics.tail([n] * len(counts)), (1 - statistics.CONFIDENCE) / 2
-    estimates = {
-        name: Estimate(value, statistics.interval(of_cluster, expanded), statistics.interval(of_stratified, plain_tail))
-        for (name, value), of_cluster, of_stratified in zip(values.items(), cluster, stratified, strict=True)
+    domains = list(dict.fromkeys(domain for domain, _ in tasks))
+    shapes = [(1, sum(domain == one for one, _ in tasks)) for domain in domains]
+    scores = {
+        method: [block / DOMAINS[domain].max_return for domain, block in zip(domains, returns, strict=True)]
+        for method, (returns, _) in entering.items()
     }
-    return estimates, cluster[0]
+    possible = [np.full(shape, end) for end in (0.0, 1.0) for shape in shapes]
+    lowest, highest = possible[: len(shapes)], possible[len(shapes) :]
+    standings = [
+        Standing(
+            method=method,
+            returns=tuple(returns),
+            scores=tuple(scores[method]),
+            seeds=seeds,
+            estimates=_estimates(method, scores[method], lowest, highest),
+            profile=statistics.profile(scores[method], THRESHOLDS),
+            band=None if min(map(len, returns)) < 2 else statistics.profile_band(scores[method], THRESHOLDS),
+            ranks=None,
+        )
+        for method, (returns, seeds) in entering.items()
+    ]
+    found = Comparison(scope, milestone, tasks, tuple(standings), tuple(_pairs(scores)), tuple(left_out))
+    return found if found.unranked else replace(found, standings=_ranked(standings))
 
 
-def _pairs(scores: Mapping[str, Floats], blocks: Integers, draws: Mapping[str, Counts]) -> list[Pair]:
+def _estimates(method: str, scores: Scores, lowest: Scores, highest: Scores) -> dict[str, Estimate]:
+    alike = len({len(block) for block in scores}) == 1 and len(scores[0]) > 1
+    stratified = statistics.stratified(np.concatenate(scores, 1), f"stratified {method}") if alike else {}
+    return {
+        name: Estimate(aggregate(scores), statistics.aggregate_interval(scores, name, lowest, highest), stratified.get(name))
+        for name, aggregate in statistics.AGGREGATES.items()
+    }
+
+
+def _ranked(standings: Sequence[Standing]) -> tuple[Standing, ...]:
+    distributions = []
+    for standing in standings:
+        spread = statistics.aggregate_spread(standing.scores, LEAD)
+        assert spread is not None
+        distributions.append(spread.draws(standing.estimates[LEAD].value, f"rank {standing.method}"))
+    shares = statistics.rank_shares(np.stack(distributions))
+    return tuple(replace(standing, ranks=tuple(of.tolist())) for standing, of in zip(standings, shares, strict=True))
+
+
+def _pairs(scores: Mapping[str, Scores]) -> list[Pair]:
     methods = list(scores)
     found: dict[tuple[str, str], tuple[float, Interval | None, float | None]] = {}
     for index, x in enumerate(methods):
         for y in methods[index + 1 :]:
             probability = statistics.improvement(scores[x], scores[y])
-            if x in draws and y in draws:
-                interval = statistics.improvement_interval(scores[x], scores[y], blocks, draws[x], draws[y])
-                p = statistics.improvement_p(scores[x], scores[y], blocks)
-                found[x, y] = probability, interval, p
-                # The other way round is this one mirrored at one half.
-                found[y, x] = 1 - probability, Interval(1 - interval.high, 1 - interval.low), p
-            else:
-                found[x, y], found[y, x] = (probability, None, None), (1 - probability, None, None)
+            interval = statistics.improvement_interval(scores[x], scores[y])
+            p = None if interval is None else statistics.improvement_p(scores[x], scores[y])
+            found[x, y] = probability, interval, p
+            # The other way round is this one mirrored at one half.
+            found[y, x] = 1 - probability, interval and Interval(1 - interval.high, 1 - interval.low), p
     pairs = []
     for x in methods:
         others = [y for y in methods if y != x]

@@ -13,7 +13,7 @@ from cudc_bench.markup import escape_markdown, plain, templates
 
 from .diagnostics import Comparison
 from .load import short
-from .overall import PAIRS_CAPTION, PRELIMINARY, Estimate, Overall, Pair
+from .overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Estimate, Overall, Pair
 from .published import PaperTable
 from .statistics import Interval
 from .table import Cell, Table
@@ -101,36 +101,34 @@ def paper_to_csv(paper: PaperTable) -> str:
     return text.getvalue()
 
 
-AGGREGATES = {"iqm": "IQM", "median": "median", "mean": "mean", "optimality_gap": "optimality gap"}
-
-
 def overall_to_markdown(overall: Overall) -> str:
     """For each comparison its aggregates, the probabilities of improvement and what was left out."""
-    return _render("overall.md.j2", escape_markdown, overall=overall, names=AGGREGATES, pairs_caption=PAIRS_CAPTION,
+    return _render("overall.md.j2", escape_markdown, overall=overall, names=NAMES, pairs_caption=PAIRS_CAPTION,
                    estimate=_estimate, chance=_chance)  # fmt: skip
 
 
 def overall_to_latex(overall: Overall) -> str:
     """A table of all comparisons' aggregates and one of the headline's probabilities of improvement, for ``booktabs``."""
-    return _render("overall.tex.j2", escape_latex, overall=overall, names=AGGREGATES, pairs_caption=PAIRS_CAPTION,
+    return _render("overall.tex.j2", escape_latex, overall=overall, names=NAMES, pairs_caption=PAIRS_CAPTION,
                    estimate=_estimate, chance=lambda pair: f"{pair.probability:.2f}")  # fmt: skip
 
 
 def overall_to_csv(overall: Overall) -> str:
     """One line for each number in full precision, with its intervals where it has them.
 
-    ``statistic`` is one of the aggregates, ``probability_of_improvement`` (over ``other``), or ``rank_<i>`` (its probability).
+    ``statistic`` is one of the aggregates, ``probability_of_improvement`` (over ``other``), or ``rank_<i>`` (its probability). ``seeds``
+    are the collector seeds in the domain with the fewest, ``datasets`` those of all domains.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["group", "algorithm", "scope", "milestone", "tasks", "method", "seeds", "statistic", "other", "value", "low", "high",
-                     "stratified_low", "stratified_high", "p", "p_holm", "improvement"])  # fmt: skip
+    writer.writerow(["group", "algorithm", "scope", "milestone", "tasks", "method", "seeds", "datasets", "statistic", "other", "value",
+                     "low", "high", "stratified_low", "stratified_high", "p", "p_holm", "improvement"])  # fmt: skip
     for comparison in overall.comparisons:
         head = [overall.group, overall.algorithm, comparison.scope, comparison.milestone, len(comparison.tasks)]
         for standing in comparison.standings:
-            who = [*head, standing.method, standing.n]
+            who = [*head, standing.method, standing.n, sum(standing.counts)]
             for name, found in standing.estimates.items():
-                writer.writerow([*who, name, None, found.value, *_ends(found.cluster), *_ends(found.stratified), None, None, None])
+                writer.writerow([*who, name, None, found.value, *_ends(found.interval), *_ends(found.stratified), None, None, None])
             for rank, share in enumerate(standing.ranks or (), 1):
                 writer.writerow([*who, f"rank_{rank}", None, share, *[None] * 7])
             for pair in comparison.pairs:
@@ -149,14 +147,16 @@ def scores_to_csv(overall: Overall) -> str:
     for comparison in overall.comparisons:
         head = [overall.group, overall.algorithm, comparison.scope, comparison.milestone]
         for standing in comparison.standings:
-            for index, (domain, task) in enumerate(comparison.tasks):
-                for seed, found, score in zip(standing.seeds[domain], standing.returns[:, index], standing.scores[:, index], strict=True):
-                    writer.writerow([*head, domain, task, standing.method, seed, float(found), float(score)])
+            for domain, returns, scores in zip(comparison.domains, standing.returns, standing.scores, strict=True):
+                tasks = [task for one, task in comparison.tasks if one == domain]
+                for task, *columns in zip(tasks, returns.T, scores.T, strict=True):
+                    for seed, found, score in zip(standing.seeds[domain], *columns, strict=True):
+                        writer.writerow([*head, domain, task, standing.method, seed, float(found), float(score)])
     return text.getvalue()
 
 
 def overall_to_rich(overall: Overall) -> Group:
-    """For a terminal: the headline comparison, the IQM with its interval first."""
+    """For a terminal: the headline comparison, the mean with its interval first."""
     from rich import box
     from rich.console import Group
     from rich.table import Table as Grid
@@ -165,18 +165,19 @@ def overall_to_rich(overall: Overall) -> Group:
     comparison = overall.headline
     shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
     shown.add_column("")
-    for name in ("IQM", "95 % interval", "median", "mean", "gap", "P(rank 1)", "seeds"):
+    for name in ("mean", "95 % interval", "IQM", "median", "gap", "P(rank 1)", "seeds"):
         shown.add_column(name, justify="right")
     for standing in comparison.standings:
-        headline = standing.estimates["iqm"]
-        rest = [f"{standing.estimates[name].value:.3f}" for name in ("median", "mean", "optimality_gap")]
+        headline = standing.estimates[LEAD]
+        rest = [f"{standing.estimates[name].value:.3f}" for name in ("iqm", "median", "optimality_gap")]
         first = "–" if standing.ranks is None else f"{standing.ranks[0]:.2f}"
-        row = (standing.method, f"{headline.value:.3f}", _bracketed(headline.cluster) or "–", *rest, first, str(standing.n))
+        row = (standing.method, f"{headline.value:.3f}", _bracketed(headline.interval) or "–", *rest, first, standing.seeds_text)
         shown.add_row(*map(Text, row))
     wins = [f"{pair.method} over {pair.other} ({_chance(pair)})" for pair in comparison.pairs if pair.better]
     lines = [
         "Returns divided by each task's largest; IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
         f"Improvements (interval above 0.5, Holm's p < 0.05): {len(wins)}{f', such as {wins[-1]}' if wins else ''}.",
+        *comparison.remarks,
         *([PRELIMINARY] if comparison.preliminary else []),
         *(f"Left out: {line}" for line in comparison.left_out),
     ]
@@ -232,7 +233,7 @@ def _text(cell: Cell | None) -> str:
 
 def _estimate(estimate: Estimate) -> str:
     stratified = f" {{{_ends_text(estimate.stratified)}}}" if estimate.stratified else ""
-    return " ".join(filter(None, (f"{estimate.value:.3f}", _bracketed(estimate.cluster)))) + stratified
+    return " ".join(filter(None, (f"{estimate.value:.3f}", _bracketed(estimate.interval)))) + stratified
 
 
 def _chance(pair: Pair) -> str:

@@ -3,7 +3,7 @@
 Joined is what differs in nothing but how much of a dataset was used. The *area under the sample-efficiency curve* is that of the return
 divided by the task's largest one over log10 of the number of transitions, by the trapezoidal rule between the smallest and the largest
 size, divided by the distance of these two. So it is a mean score, between 0 and 1 as the scores are, in which a doubling of
-the data weighs the same wherever it is. Each collector seed has an area of its own; means, IQM and intervals are over those.
+the data weighs the same wherever it is. Each collector seed has an area of its own; means and intervals are over those.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
-from . import statistics
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .load import column, is_own, short
 from .missing import Wanted
 from .statistics import Floats
-from .study import IQM_TEXT, ByTask, Study, draw_name, iqm_entry, known_tasks, of_seeds, score_matrix
+from .study import SCORE, SCORE_TEXT, ByTask, Study, known_tasks, mean_entry, of_seeds, score_entry, score_matrix
 from .study_figures import draw_sizes
 from .table import ENOUGH_SEEDS, METHOD_ORDER, Block, Cell, build_cell, mark_best, ordered, slug, span
 
@@ -44,7 +43,7 @@ class Sizes:
         milestone: after so many gradient steps.
         methods, tasks, sizes: what there is.
         cells: result by size, task and method.
-        iqm: IQM over the domain's tasks by size and method, where there is one.
+        scores: mean score over the domain's tasks by size and method, where there is one.
         seeds: how many there are, in words.
     """
 
@@ -56,7 +55,7 @@ class Sizes:
     tasks: tuple[str, ...]
     sizes: tuple[int, ...]
     cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
-    iqm: Mapping[tuple[int, str], Entry] = field(repr=False)
+    scores: Mapping[tuple[int, str], Entry] = field(repr=False)
     seeds: str
 
 
@@ -110,16 +109,16 @@ def _study(group: str, blocks: Sequence[Block]) -> Study | None:
     sizes = tuple(sorted({size for size, _ in chosen}))
     tasks = ordered({one.dataset.task for one in records}, known_tasks(first.domain))
     cells: dict[tuple[int, str, str], Cell] = {}
-    iqm: dict[tuple[int, str], Entry] = {}
+    scores: dict[tuple[int, str], Entry] = {}
     for size in sizes:
         for task in tasks:
             row = mark_best([build_cell(chosen[size, method][task], milestone) for method in methods])
             cells |= {(size, task, method): cell for method, cell in zip(methods, row, strict=True) if cell}
         for method in methods:
-            if entry := iqm_entry(chosen[size, method], first.domain, method, milestone):
-                iqm[size, method] = entry
+            if entry := score_entry(chosen[size, method], first.domain, milestone):
+                scores[size, method] = entry
     shown = Sizes(
-        plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, iqm,
+        plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, scores,
         span([cell.n for cell in cells.values()] or [0], "seed"),
     )  # fmt: skip
     tables = [_returns(shown, chosen)]
@@ -152,17 +151,17 @@ def _returns(shown: Sizes, chosen: _Chosen) -> Grid:
         lines = []
         for method in shown.methods:
             entries = [of_cell(shown.cells.get((size, task, method)), chosen[size, method][task]) for task in shown.tasks]
-            lines.append(Line((method,), (*entries, *([shown.iqm.get((size, method))] if known else []))))
+            lines.append(Line((method,), (*entries, *([shown.scores.get((size, method))] if known else []))))
         parts.append(Part(f"{short(size)} transitions", size, tuple(lines)))
     return Grid(
         name="returns",
         title="Returns by dataset size",
         caption=f"Returns of {shown.algorithm} after {short(shown.milestone)} gradient steps on the first so many transitions. Mean and"
         " sample standard deviation over collector seeds, whose number is in brackets. Bold in each task: the largest mean and those that"
-        f" are not significantly worse (Welch, Holm, as in the main table).{f' {IQM_TEXT}' if known else ''}",
+        f" are not significantly worse (Welch, Holm, as in the main table).{f' {SCORE_TEXT}' if known else ''}",
         split="transitions",
         head=("method",),
-        columns=(*map(Column, shown.tasks), *([Column("IQM", 3)] if known else [])),
+        columns=(*map(Column, shown.tasks), *([Column(SCORE, 3)] if known else [])),
         parts=tuple(parts),
     )
 
@@ -184,17 +183,17 @@ def _areas(shown: Sizes, chosen: _Chosen) -> tuple[Grid | None, list[str]]:
             continue
         entries = []
         for tasks in (*((task,) for task in shown.tasks), known):
-            entries.append(_area(shown, [chosen[size, method] for size in sizes], tasks, method, weights))
+            entries.append(_area(shown, [chosen[size, method] for size in sizes], tasks, weights))
         lines.append(Line((method,), tuple(entries)))
     heading = f"{short(sizes[0])} to {short(sizes[-1])} transitions ({len(sizes)} sizes)"
-    caption = f"{AREA_TEXT} For a task: mean over seeds. {IQM_TEXT} In square brackets: 95 % intervals by the cluster bootstrap."
-    columns = (*map(partial(Column, digits=3), shown.tasks), Column("IQM", 3))
+    caption = f"{AREA_TEXT} Mean over seeds. {SCORE_TEXT}"
+    columns = (*map(partial(Column, digits=3), shown.tasks), Column(SCORE, 3))
     part = Part(heading, f"{sizes[0]}-{sizes[-1]}", tuple(lines))
     return Grid("area", "Area under the sample-efficiency curve", caption, "transitions", ("method",), columns, (part,)), notes
 
 
-def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], method: str, weights: Floats) -> Entry | None:
-    """The IQM of the seeds' areas over several tasks, or of one task their mean, over seeds that have all sizes and tasks."""
+def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], weights: Floats) -> Entry | None:
+    """The mean of the seeds' areas over some tasks, over seeds that have all sizes and tasks."""
     if not set(tasks) <= set(known_tasks(shown.domain)):
         return None
     found = [score_matrix(one, tasks, shown.milestone) for one in records]
@@ -203,10 +202,7 @@ def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], method:
         return None
     scores = np.stack([returns[[having.index(seed) for seed in seeds]] for having, returns in found])
     areas = np.tensordot(weights, scores / DOMAINS[shown.domain].max_return, 1)
-    aggregate = "mean" if len(tasks) == 1 else "iqm"
-    interval = statistics.cluster_interval(areas, draw_name(method), aggregate)
-    behind = tuple(record for one in records for record in of_seeds(one, tasks, seeds))
-    return Entry(float(statistics.AGGREGATES[aggregate](areas)), None, interval, len(seeds), False, behind)
+    return mean_entry(areas, tuple(record for one in records for record in of_seeds(one, tasks, seeds)))
 
 
 def _wanted(group: str, blocks: Sequence[Block], shown: Sizes, chosen: _Chosen) -> tuple[Wanted, ...]:

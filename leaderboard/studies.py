@@ -22,7 +22,7 @@ from .overall import Overall
 from .plans import PLANS, Plan, canonical
 from .published import CITATION, MEAN, beside, caption, reported_relative, scale
 from .sizes import build_sizes
-from .study import IQM_TEXT, Study, alias_notes, draw_name, iqm_entry, known_tasks, of_seeds, score_matrix
+from .study import SCORE, SCORE_TEXT, Study, alias_notes, known_tasks, of_seeds, score_entry, score_matrix
 from .study_figures import draw_bounds
 from .table import ENOUGH_SEEDS, Block, Cell, Runs, build_cell, mark_best, ordered
 
@@ -32,8 +32,8 @@ _MARKS = (
 )
 _RELATIVE = (
     "Score divided by CUDC's on the same task: a ratio of means over collector seeds. Mean: of the ratios, over the domain's tasks and the"
-    " seeds that have all of them. In square brackets: 95 % intervals by a cluster bootstrap of both methods' datasets; the whole of an"
-    " interval below 1 says that the part matters."
+    " seeds that have all of them. In square brackets: 95 % intervals by Student's t over both methods' datasets (jackknife); the whole of"
+    " an interval below 1 says that the part matters."
 )
 
 
@@ -115,16 +115,16 @@ def _returns(runs: Runs) -> Grid:
         for method in runs.methods:
             entries = [of_cell(runs.cells.get((milestone, task, method)), runs.records.get((method, task), ())) for task in runs.tasks]
             if known:
-                entries.append(iqm_entry(_by_task(runs, method), runs.domain, method, milestone))
+                entries.append(score_entry(_by_task(runs, method), runs.domain, milestone))
             lines.append(Line((method,), tuple(entries)))
         parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     return Grid(
         name="returns",
         title="Returns",
-        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {IQM_TEXT}' if known else ''}",
+        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {SCORE_TEXT}' if known else ''}",
         split="milestone",
         head=("method",),
-        columns=(*map(Column, runs.tasks), *([Column("IQM", 3)] if known else [])),
+        columns=(*map(Column, runs.tasks), *([Column(SCORE, 3)] if known else [])),
         parts=tuple(parts),
     )
 
@@ -153,7 +153,7 @@ def _ratio(runs: Runs, method: str, tasks: Sequence[str], milestone: int) -> Ent
     (seeds, above), (cudc_seeds, below) = (score_matrix(one, tasks, milestone) for one in (ours, cudc))
     if not seeds or not cudc_seeds or (value := statistics.relative(above, below)) is None:
         return None
-    interval = statistics.relative_interval(above, below, draw_name(method), draw_name("cudc"))
+    interval = statistics.relative_interval(above, below)
     records = (*of_seeds(ours, tasks, seeds), *of_seeds(cudc, tasks, cudc_seeds))
     return Entry(value, None, interval, min(len(seeds), len(cudc_seeds)), False, records)
 

@@ -17,16 +17,16 @@ from .figures import figure_files
 from .grid import Entry, Grid
 from .load import is_own
 from .missing import Wanted
-from .plans import canonical
 from .statistics import Floats
 from .table import commands, scores_by_seed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-IQM_TEXT = (
-    "IQM: of returns divided by the largest possible one, over the domain's tasks and the collector seeds that have all of them; 95 %"
-    " intervals by the cluster bootstrap (datasets resampled with all their tasks)."
+SCORE = "mean score"
+SCORE_TEXT = (
+    "Mean score: of returns divided by the largest possible one, over the domain's tasks and the collector seeds that have all of them; 95"
+    " % intervals by Student's t over datasets, each with all its tasks."
 )
 
 
@@ -90,21 +90,20 @@ def score_matrix(records: ByTask, tasks: Sequence[str], milestone: int) -> tuple
     return tuple(seeds), np.array([[one[seed] for one in found] for seed in seeds], np.float64).reshape(len(seeds), len(tasks))
 
 
-def iqm_entry(records: ByTask, domain: str, method: str, milestone: int) -> Entry | None:
-    """The IQM of a method over all tasks of a domain; None if the domain is unknown or no seed has all of them."""
+def score_entry(records: ByTask, domain: str, milestone: int) -> Entry | None:
+    """The mean score of a method's records over all tasks of a domain; None if the domain is unknown or no seed has all of them."""
     tasks = known_tasks(domain)
     seeds, returns = score_matrix(records, tasks, milestone)
     if not tasks or not seeds:
         return None
-    scores = returns / DOMAINS[domain].max_return
-    # The name's draws are those of every other comparison of this method, which so has one interval.
-    interval = statistics.cluster_interval(scores, draw_name(method))
-    return Entry(float(statistics.iqm(scores)), None, interval, len(seeds), False, of_seeds(records, tasks, seeds))
+    return mean_entry(returns / DOMAINS[domain].max_return, of_seeds(records, tasks, seeds))
 
 
-def draw_name(method: str) -> str:
-    """What ``statistics.draw`` is seeded with for a method, whatever a study calls it."""
-    return f"cluster {canonical(method)}"
+def mean_entry(scores: Floats, records: tuple[Record, ...]) -> Entry:
+    """The mean of some seeds' scores over tasks, (n, T), with its interval."""
+    lowest, highest = (np.full((1, scores.shape[1]), end) for end in (0.0, 1.0))
+    interval = statistics.aggregate_interval([scores], "mean", [lowest], [highest])
+    return Entry(statistics.mean([scores]), None, interval, len(scores), False, records)
 
 
 def known_tasks(domain: str) -> tuple[str, ...]:

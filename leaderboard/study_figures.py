@@ -54,14 +54,14 @@ def draw_bounds(runs: Runs, bounds: Mapping[str, int]) -> Figure:
 
 
 def draw_sizes(sizes: Sizes) -> Figure:
-    """The mean return over the number of transitions, a panel for each task, band: ± one sample standard deviation; and the IQM over
-    the domain's tasks, band: 95 % intervals by the cluster bootstrap. A single seed is a thin line."""
+    """The mean return over the number of transitions, a panel for each task, band: ± one sample standard deviation; and the mean score
+    over the domain's tasks, band: 95 % intervals by Student's t. A single seed is a thin line."""
     shown = looks(sizes.methods)
     title = (
         f"Sample efficiency: {sizes.algorithm} on {sizes.domain}, profile {sizes.group}, {short(sizes.milestone)} steps:"
-        f" {seeds_text(sizes.seeds)}{'; of the IQM: 95 %' if sizes.iqm else ''}"
+        f" {seeds_text(sizes.seeds)}{'; of the mean score: 95 %' if sizes.scores else ''}"
     )
-    count = len(sizes.tasks) + bool(sizes.iqm)
+    count = len(sizes.tasks) + bool(sizes.scores)
     columns = 3 if count in (3, 5, 6, 9) else _COLUMNS
     figure, panels = framed(title, legend(shown), count, columns)
     for index, (panel, task) in enumerate(zip(panels, sizes.tasks, strict=False)):
@@ -73,13 +73,13 @@ def draw_sizes(sizes: Sizes) -> Figure:
         panel.set_ylabel("return" if index % columns == 0 else "")
         returns_axis(panel, sizes.domain, sizes.tasks)
         _sizes_axis(panel, sizes)
-    if sizes.iqm:
+    if sizes.scores:
         panel = panels[-1]
         for method, look in shown.items():
-            entries = {size: entry for size in sizes.sizes if (entry := sizes.iqm.get((size, method)))}
+            entries = {size: entry for size in sizes.sizes if (entry := sizes.scores.get((size, method)))}
             spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
             _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
-        panel.set_title("IQM over all tasks (score)")
+        panel.set_title("mean score over all tasks")
         panel.set_ylim(0, 1)
         _sizes_axis(panel, sizes)
     return figure

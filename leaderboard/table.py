@@ -195,7 +195,7 @@ class Table:
     def caption(self) -> str:
         """What the numbers are, in plain ASCII except for what records bring along."""
         steps = " and ".join(short(section.milestone) for section in self.sections)
-        episodes = ", ".join(f"{_span(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
+        episodes = ", ".join(f"{extent(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
         preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
         imported = any(record.dataset.source for record in self.records)
         twins = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
@@ -344,7 +344,7 @@ def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 def span(counts: Iterable[int], what: str) -> str:
     """Some numbers of things: ``"5 seeds"``, ``"1 to 3 seeds"``."""
     low, high = min(counts := list(counts)), max(counts)
-    return f"{_span(low, high)} {what if high == 1 else f'{what}s'}"
+    return f"{extent(low, high)} {what if high == 1 else f'{what}s'}"
 
 
 def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
@@ -434,5 +434,6 @@ def _listed(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def _span(low: int, high: int) -> str:
+def extent(low: int, high: int) -> str:
+    """Two numbers as one text: ``"5"``, ``"1 to 3"``."""
     return str(low) if low == high else f"{low} to {high}"

@@ -55,7 +55,7 @@ def test_the_readmes_tables_are_those_of_the_records(report: Report, section: st
 def test_the_readmes_sentences_are_those_of_the_records(report: Report, section: str) -> None:
     said = " ".join(section.split())
     found = report.overall[0].headline
-    means = {one.method: one.returns.mean(1) for one in found.standings}  # (5,) points a task of each collector seed
+    means = {one.method: one.returns[0].mean(1) for one in found.standings}  # (5,) points a task of each collector seed
     average = {method: of.mean() for method, of in means.items()}
     lead = {method: average["cudc"] - average[method] for method in means}
     error = {method: np.sqrt((means["cudc"].var(ddof=1) + of.var(ddof=1)) / len(of)) for method, of in means.items()}
@@ -81,9 +81,9 @@ def test_the_readmes_sentences_are_those_of_the_records(report: Report, section:
 
 
 def standings(comparison: Comparison) -> list[str]:
-    lines = ["| | IQM | mean | better than random | CUDC better than it |", "|:---|---:|---:|---:|---:|"]
+    lines = ["| | mean | IQM | better than random | CUDC better than it |", "|:---|---:|---:|---:|---:|"]
     for one in comparison.standings:
-        scores = [f"{found.value:.3f} {_ends(found.cluster)}" for found in (one.estimates["iqm"], one.estimates["mean"])]
+        scores = [f"{found.value:.3f} {_ends(found.interval)}" for found in (one.estimates["mean"], one.estimates["iqm"])]
         pairs = [comparison.pair(*names) if len(set(names)) == 2 else None for names in ((one.method, "random"), ("cudc", one.method))]
         chances = [f"{pair.probability:.2f} {_ends(pair.interval, 2)}{'*' * pair.better}" if pair else "–" for pair in pairs]
         lines.append(f"| {' | '.join([one.method, *scores, *chances])} |")

@@ -12,7 +12,7 @@ from cudc_bench.records import Record
 
 from ..load import short
 from ..missing import Missing
-from ..overall import PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
 from ..published import Beside, beside_paper
 from ..statistics import student
 from ..table import Cell, Row, Section, Table, seed_scores, span
@@ -35,6 +35,7 @@ from .parts import (
 )
 from .studies import Studies
 
+_FURTHER = tuple(name for name in NAMES if name != LEAD)
 _MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
 
 
@@ -97,8 +98,10 @@ class Boards(Studies):
             "Scores are those after the last gradient step of each milestone, never the best of a training run.",
             "Bold and marked ● in a task: the largest mean, and all that are not significantly worse (two-sided Welch test over seeds,"
             " Holm's correction within the task, p ≥ 0.05).",
-            "IQM: mean without the lowest and highest quarter of runs. Intervals: 95 %, by a cluster bootstrap that draws datasets with all"
-            " their tasks. P(rank 1): how often a method has the largest IQM in it.",
+            "Scores are normalised returns. Mean: over tasks of the means over seeds. IQM: mean without the lowest and highest quarter of"
+            " runs; of tasks of unequal scale it leaves out the easiest and the hardest. Intervals: 95 %, by Student's t over datasets,"
+            " each with all its tasks. P(rank 1): how probable it is by these that a method has the largest mean; only of methods with the"
+            " same collector seeds.",
             f"{PRELIMINARY} A single seed has no interval.",
             "The paper's numbers stand beside ours where it reports the same cell. They come from another implementation and are never"
             " ranked with ours; σ counts the paper's standard deviations between them.",
@@ -164,36 +167,34 @@ class Boards(Studies):
         return [Exhibit(
             f"Ranking over {headline.scope}", grids=tuple(grids), figures=figures,
             downloads=self.downloads(board.slug, ("overall", "scores", "intervals")),
-            text=(overall.caption, *(f"Left out: {line}" for line in headline.left_out)),
+            text=(overall.caption, *headline.remarks, *(f"Left out: {line}" for line in headline.left_out)),
             lead=f"{PRELIMINARY}" if headline.preliminary else "",
         )]  # fmt: skip
 
     def _standings(self, board: Board, comparison: Comparison) -> Grid:
-        standings = sorted(comparison.standings, key=lambda one: -one.estimates["iqm"].value)
-        highs = [one.estimates["iqm"].cluster.high for one in standings if one.estimates["iqm"].cluster]
-        largest = ceil(10 * max([*highs, *(one.estimates["iqm"].value for one in standings), 0.1]) - 1e-9) / 10
+        standings = sorted(comparison.standings, key=lambda one: -one.estimates[LEAD].value)
+        highs = [within.high for one in standings if (within := one.estimates[LEAD].interval)]
+        largest = ceil(10 * max([*highs, *(one.estimates[LEAD].value for one in standings), 0.1]) - 1e-9) / 10
         columns = (
-            Heading("IQM"), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
-            Heading("P(rank 1)"), Heading("median"), Heading("mean"), Heading("optimality gap"), Heading("seeds"),
+            Heading(NAMES[LEAD]), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
+            *([] if comparison.unranked else [Heading("P(rank 1)")]), *(Heading(NAMES[name]) for name in _FURTHER), Heading("seeds"),
         )  # fmt: skip
         lines = [Line(self.name(one.method), self._standing(one, largest)) for one in standings]
-        return Grid(f"{comparison.title}, {comparison.seeds}, by IQM", "method", columns, tuple(lines), milestone=comparison.milestone,
-                    filters="methods")  # fmt: skip
+        caption = f"{comparison.title}, {comparison.seeds}, by {NAMES[LEAD]}"
+        return Grid(caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods")
 
     def _standing(self, standing: Standing, largest: float) -> tuple[Item, ...]:
-        found = standing.estimates["iqm"]
-        within = found.cluster
+        found = standing.estimates[LEAD]
+        within = found.interval
         low, high = (within.low, within.high) if within else (found.value, found.value)
-        rest = [
-            Item(f"{standing.estimates[name].value:.3f}", standing.estimates[name].value) for name in ("median", "mean", "optimality_gap")
-        ]
+        rest = [Item(f"{standing.estimates[name].value:.3f}", standing.estimates[name].value) for name in _FURTHER]
         return (
             Item(f"{found.value:.3f}", found.value),
             Item(f"{low:.3f} to {high:.3f}") if within else Item(),
             Item("", found.value, picture=bar(low, found.value, high, largest, self.colour(standing.method))),
-            Item(f"{standing.ranks[0]:.2f}", standing.ranks[0]) if standing.ranks else Item(),
+            *([Item(f"{standing.ranks[0]:.2f}", standing.ranks[0])] if standing.ranks else []),
             *rest,
-            count(standing.n),
+            Item(standing.seeds_text, standing.n),
         )
 
     def _comparisons(self, board: Board, overall: Overall) -> list[Exhibit]:
@@ -201,7 +202,7 @@ class Boards(Studies):
         found = []
         figures = (
             *self.figure(board.slug, "profiles", f"Performance profiles, {headline.title}: share of runs above each score."),
-            *self.figure(board.slug, "ranks", f"Probability of each rank by IQM, {headline.title}."),
+            *self.figure(board.slug, "ranks", f"Probability of each rank by the mean, {headline.title}."),
         )
         if figures:
             found.append(Exhibit("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
@@ -209,11 +210,12 @@ class Boards(Studies):
         if others:
             parts = [
                 Exhibit(scope, grids=tuple(self._standings(board, one) for one in others if one.scope == scope),
-                        text=tuple(f"Left out: {line}" for one in others if one.scope == scope for line in one.left_out))
+                        text=tuple(line for one in others if one.scope == scope
+                                   for line in (*one.remarks, *(f"Left out: {line}" for line in one.left_out))))
                 for scope in dict.fromkeys(one.scope for one in others)
             ]  # fmt: skip
             figures = self.figure(
-                board.slug, "domains", f"IQM of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
+                board.slug, "domains", f"Mean score of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
             )
             downloads = self.downloads(board.slug, ("domains",))
             found.append(Exhibit("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))

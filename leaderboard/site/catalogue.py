@@ -9,6 +9,7 @@ from cudc_bench.data.card import facts_of
 from cudc_bench.markup import plain
 
 from ..load import column, short
+from ..overall import LEAD, NAMES
 from ..statistics import student
 from ..table import Table
 from .datasets import Dataset, Local
@@ -93,10 +94,10 @@ class Catalogue(Parts):
             standing = next((one for one in comparison.standings if one.method == method), None)
             if standing is None:
                 continue
-            found = standing.estimates["iqm"]
-            around = f" ({found.cluster.low:.3f} to {found.cluster.high:.3f})" if found.cluster else ""
+            found = standing.estimates[LEAD]
+            around = f" ({found.interval.low:.3f} to {found.interval.high:.3f})" if found.interval else ""
             chance = f", rank 1 with probability {standing.ranks[0]:.2f}" if standing.ranks else ""
-            facts.append((comparison.title, Item(f"IQM {found.value:.3f}{around}{chance}")))
+            facts.append((comparison.title, Item(f"{NAMES[LEAD]} {found.value:.3f}{around}{chance}")))
         return Exhibit(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
 
     @staticmethod
