@@ -25,7 +25,7 @@ from cudc_bench.leaderboard.figures import _STYLE, draw_bars, figure_files, fill
 from cudc_bench.leaderboard.grid import Column, Entry, Grid, number
 from cudc_bench.leaderboard.grid_files import to_csv, to_latex, to_markdown, to_rich
 from cudc_bench.leaderboard.overall import ALL, build_overall
-from cudc_bench.leaderboard.plans import ABLATION, ALIASES, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
+from cudc_bench.leaderboard.plans import ABLATION, ALIASES, K_BOUND, PLANS, STUDY_METHODS, VARIANTS, canonical
 from cudc_bench.leaderboard.published import reported, reported_relative
 from cudc_bench.leaderboard.sizes import area_weights
 from cudc_bench.leaderboard.studies import build_studies
