@@ -183,11 +183,6 @@ AGENT = [
         ),
         ("        self.updates += 1\n", "        self.updates += 2\n"),
         (
-            "noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
-            "noisy_action(mean, noise, self.config.noise_std, None)",
-            "mean + 0.0 * noise",
-        ),
-        (
             'self.add_optimiser("actor", [self.actor], config.learning_rate)',
             'self.add_optimiser("actor", [self.actor], 1.02 * config.learning_rate)',
         ),
@@ -206,6 +201,12 @@ AGENT = [
         ("noise_std: NonNegativeFloat = 0.2", "noise_std: NonNegativeFloat = 0.1"),
         ("noise_clip: NonNegativeFloat = 0.3", "noise_clip: NonNegativeFloat = 0.5"),
         ("learning_rate: PositiveFloat = 1e-4", "learning_rate: PositiveFloat = 3e-4"),
+    ),
+    survivor(
+        "collectors/ddpg.py", AGENTS,
+        "noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
+        "noisy_action(mean, noise, self.config.noise_std, None)",
+        "mean + 0.0 * noise",
     ),
     *mutants(
         "collectors/ddpg.py", ("icm", "apt", "rnd", "aps", "cudc", "smm"),
@@ -253,6 +254,79 @@ AGENT = [
     *mutants(
         "collectors/ddpg.py", ("proto", "cudc", "cudc-reward"),
         ("        self.update_targets()\n", ""),
+    ),
+]  # fmt: skip
+
+LAYERS = [
+    *mutants(
+        "collectors/icm.py", ("icm",),
+        ("mlp(random, s + a, width, s)", "mlp(random, s + a, width, width, s)"),
+        ("mlp(random, 2 * s, width, a,", "mlp(random, 2 * s, width, width, a,"),
+    ),
+    *mutants(
+        "collectors/apt.py", ("apt", "be"),
+        ("mlp(random, z + a, width, z)", "mlp(random, z + a, width, width, z)"),
+        ("mlp(random, 2 * z, width, a,", "mlp(random, 2 * z, z, a,"),
+        ("feature_dim: PositiveInt = 512", "feature_dim: PositiveInt = 256"),
+    ),
+    *mutants(
+        "collectors/proto.py", ("proto",),
+        ("mlp(random, config.feature_dim, config.projection_hidden, config", "mlp(random, config.feature_dim, config.feature_dim, config"),
+        ("prototypes: PositiveInt = 512", "prototypes: PositiveInt = 256"),
+        ("F.normalize(drawn.transpose(1, 2), dim=-1)", "drawn.transpose(1, 2)"),
+        (
+            "make_target(self.predictor, Linear(random, s, config.feature_dim))",
+            "Linear(random, s, config.feature_dim).requires_grad_(False)",
+        ),
+    ),
+    *mutants(
+        "collectors/aps.py", ("aps",),
+        ("config.width, config.width, config.task_dim)", "config.width, config.task_dim)"),
+    ),
+    *mutants(
+        "collectors/rnd.py", ("rnd",),
+        ("self.config.width, self.config.width, self.config.feature_dim)", "self.config.width, self.config.feature_dim)"),
+    ),
+    *mutants(
+        "collectors/disagreement.py", ("disagreement",),
+        ("models: Annotated[int, Field(ge=2, le=1000)] = 5", "models: int = 4"),
+    ),
+    *mutants(
+        "collectors/diayn.py", ("diayn",),
+        ("width, width, self.config.skills)", "width, self.config.skills)"),
+        ("skill_every: NonNegativeInt = 50", "skill_every: NonNegativeInt = 10"),
+    ),
+    *mutants(
+        "collectors/smm.py", ("smm",),
+        ("hidden, hidden, inputs)", "hidden, inputs)"),
+        ("config.width, config.width, config.skills)", "config.width, config.skills)"),
+        ("skill_every: NonNegativeInt = 0", "skill_every: NonNegativeInt = 50"),
+    ),
+    *mutants(
+        "collectors/cic.py", ("cic",),
+        ("self.skill_network = mlp(random, config.skill_dim, width, width,", "self.skill_network = mlp(random, config.skill_dim, width,"),
+    ),
+    *mutants(
+        "collectors/cudc.py", ("cudc", "cudc-no-reach", "cudc-reach"),
+        ("mlp(random, s + a + self.horizons, width, s)", "mlp(random, s + a + self.horizons, width, width, s)"),
+        ("config.action_hidden, config.action_hidden, a)", "config.action_hidden, a)"),
+        ("mlp(random, 2 * s, width, self.horizons)", "mlp(random, 2 * s, width, width, self.horizons)"),
+    ),
+    *mutants(
+        "collectors/cudc.py", ("cudc", "cudc-reach"),
+        ("projection_hidden: PositiveInt = 128", "projection_hidden: PositiveInt = 64"),
+        ("make_target(self.state_encoder, self._state_encoder(random))", "self._state_encoder(random).requires_grad_(False)"),
+        ("return random.uniform(size, size)", "return random.uniform(size, size) - 0.5"),
+    ),
+    *mutants(
+        "cudc_bench/networks.py", AGENTS,
+        (
+            "block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)",
+            "block.copy_(1.4 * nn.init.orthogonal_(drawn, generator=generator).T)",
+        ),
+        ("for block in member.chunk(blocks, dim=1):", "for block in [member]:"),
+        ("bias = torch.zeros(random.count, 1, outputs,", "bias = 0.1 + torch.zeros(random.count, 1, outputs,"),
+        ("self.hidden = Linear(random, width, 2 * width, blocks=2)", "self.hidden = Linear(random, width, 2 * width)"),
     ),
 ]  # fmt: skip
 
@@ -353,7 +427,6 @@ METHODS = [
             "        self.moments.add(distance)\n            distance = distance / self.moments.mean[:, None]",
             "        distance = distance / self.moments.mean[:, None]\n            self.moments.add(distance)",
         ),
-        ("distance / self.moments.mean[:, None]", "distance / self.moments.variance.sqrt()[:, None]", "distance / self.moments.mean"),
         (
             "(distance - config.distance_floor).clamp(min=0.0)",
             "(distance - config.distance_floor).abs()",
@@ -362,6 +435,12 @@ METHODS = [
         ("alpha: PositiveFloat = 0.5", "alpha: PositiveFloat = 0.8"),
         ('= field(default="one_plus_distance"', '= field(default="distance"'),
         ('field(default="none", metadata', 'field(default="running_mean", metadata'),
+    ),
+    survivor(
+        "collectors/be.py", ("be",),
+        "distance / self.moments.mean[:, None]",
+        "distance / self.moments.variance.sqrt()[:, None]",
+        "distance / self.moments.mean",
     ),
     # ProtoRL
     *mutants(
@@ -629,7 +708,6 @@ METHODS = [
             "queries = F.normalize(self.skill_network(skill_of(batch)), dim=-1)",
             "queries = F.normalize(skill_of(batch) + 0.0 * self.skill_network(skill_of(batch)), dim=-1)",
         ),
-        ("/ self.config.temperature", "/ (1.02 * self.config.temperature)", "* self.config.temperature"),
         ("others = similarity.masked_fill(torch.eye(size, dtype=torch.bool, device=self.device), -torch.inf)", "others = similarity"),
         (
             "loss = (others.logsumexp(-1) - own).mean(1)",
@@ -658,6 +736,12 @@ METHODS = [
         ("neighbours: PositiveInt = 16", "neighbours: PositiveInt = 12"),
         ("distance_floor: NonNegativeFloat = 5e-4", "distance_floor: NonNegativeFloat = 1e-4"),
         ('normalise_by: Literal["variance", "std"] = "variance"', 'normalise_by: Literal["variance", "std"] = "std"'),
+    ),
+    survivor(
+        "collectors/cic.py", ("cic",),
+        "/ self.config.temperature",
+        "/ (1.02 * self.config.temperature)",
+        "* self.config.temperature",
     ),
 ]  # fmt: skip
 
@@ -971,13 +1055,11 @@ CUDC = [
         "collectors/variants.py", ("cudc-no-entropy",),
         ('= {"entropy": False}', "= {}"),
     ),
-    *mutants(
+    survivor(
         "collectors/variants.py", ("cudc-no-pe",),
-        (
-            '{"prediction_error": "none"}\n\n\nclass NoVary',
-            '{"prediction_error": "none", "beta": 0.0}\n\n\nclass NoVary',
-            "{}\n\n\nclass NoVary",
-        ),
+        '{"prediction_error": "none"}\n\n\nclass NoVary',
+        '{"prediction_error": "none", "beta": 0.0}\n\n\nclass NoVary',
+        "{}\n\n\nclass NoVary",
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-vary", "cudc-kmax3"),
@@ -987,9 +1069,11 @@ CUDC = [
         "collectors/variants.py", ("cudc-no-reach",),
         ('"k_rule": "error"', '"k_rule": "reward"'),
     ),
-    *mutants(
+    survivor(
         "collectors/variants.py", ("cudc-no-inverse",),
-        ('{"inverse": "none", "step_model": False}', '{"inverse": "none"}', '{"step_model": False}'),
+        '{"inverse": "none", "step_model": False}',
+        '{"inverse": "none"}',
+        '{"step_model": False}',
     ),
     *mutants(
         "collectors/variants.py", ("cudc-uniform-k",),
@@ -1007,22 +1091,18 @@ CUDC = [
         "collectors/variants.py", ("cudc-literal",),
         ('live", "action_target": "live"}', 'live"}'),
     ),
-    *mutants(
+    survivor(
         "collectors/variants.py", ("cudc-vary-icm",),
-        (
-            '"prediction_error": "log", "beta": 0.0, "reward_after_update": True',
-            '"prediction_error": "log", "beta": 0.01, "reward_after_update": True',
-            '"prediction_error": "log", "beta": 0.0',
-        ),
+        '"prediction_error": "log", "beta": 0.0, "reward_after_update": True',
+        '"prediction_error": "log", "beta": 0.01, "reward_after_update": True',
+        '"prediction_error": "log", "beta": 0.0',
     ),
-    *mutants(
+    survivor(
         "collectors/variants.py", ("cudc-vary-apt",),
-        (
-            '"prediction_error": "none", "beta": 0.0, "reward_after_update": True',
-            '"prediction_error": "none", "beta": 0.0',
-            '"beta": 0.0, "reward_after_update": True',
-        ),
+        '"prediction_error": "none", "beta": 0.0, "reward_after_update": True',
+        '"prediction_error": "none", "beta": 0.0',
+        '"beta": 0.0, "reward_after_update": True',
     ),
 ]  # fmt: skip
 
-MUTANTS: list[Mutant] = [*NETWORKS, *AGENT, *METHODS, *CUDC]
+MUTANTS: list[Mutant] = [*NETWORKS, *AGENT, *LAYERS, *METHODS, *CUDC]
