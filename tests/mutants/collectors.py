@@ -183,6 +183,11 @@ AGENT = [
         ),
         ("        self.updates += 1\n", "        self.updates += 2\n"),
         (
+            "noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
+            "noisy_action(mean, noise, self.config.noise_std, None)",
+            "mean + 0.0 * noise",
+        ),
+        (
             'self.add_optimiser("actor", [self.actor], config.learning_rate)',
             'self.add_optimiser("actor", [self.actor], 1.02 * config.learning_rate)',
         ),
@@ -202,12 +207,6 @@ AGENT = [
         ("noise_clip: NonNegativeFloat = 0.3", "noise_clip: NonNegativeFloat = 0.5"),
         ("learning_rate: PositiveFloat = 1e-4", "learning_rate: PositiveFloat = 3e-4"),
     ),
-    survivor(
-        "collectors/ddpg.py", AGENTS,
-        "noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
-        "noisy_action(mean, noise, self.config.noise_std, None)",
-        "mean + 0.0 * noise",
-    ),
     *mutants(
         "collectors/ddpg.py", ("icm", "apt", "rnd", "aps", "cudc", "smm"),
         ("horizon: PositiveInt = 3", "horizon: PositiveInt = 4"),
@@ -216,7 +215,7 @@ AGENT = [
         "collectors/ddpg.py", AGENTS,
         "        with torch.no_grad():\n            following, skill = ",
         "        with torch.enable_grad():\n            following, skill = ",
-        "the actor's own step clears its gradient first, so that what the critics' loss left there is never seen",
+        CLEARED,
     ),
     *mutants(
         "collectors/ddpg.py", ("icm", "cudc"),
@@ -427,6 +426,7 @@ METHODS = [
             "        self.moments.add(distance)\n            distance = distance / self.moments.mean[:, None]",
             "        distance = distance / self.moments.mean[:, None]\n            self.moments.add(distance)",
         ),
+        ("distance / self.moments.mean[:, None]", "distance / self.moments.variance.sqrt()[:, None]", "distance / self.moments.mean"),
         (
             "(distance - config.distance_floor).clamp(min=0.0)",
             "(distance - config.distance_floor).abs()",
@@ -435,12 +435,6 @@ METHODS = [
         ("alpha: PositiveFloat = 0.5", "alpha: PositiveFloat = 0.8"),
         ('= field(default="one_plus_distance"', '= field(default="distance"'),
         ('field(default="none", metadata', 'field(default="running_mean", metadata'),
-    ),
-    survivor(
-        "collectors/be.py", ("be",),
-        "distance / self.moments.mean[:, None]",
-        "distance / self.moments.variance.sqrt()[:, None]",
-        "distance / self.moments.mean",
     ),
     # ProtoRL
     *mutants(
@@ -708,6 +702,7 @@ METHODS = [
             "queries = F.normalize(self.skill_network(skill_of(batch)), dim=-1)",
             "queries = F.normalize(skill_of(batch) + 0.0 * self.skill_network(skill_of(batch)), dim=-1)",
         ),
+        ("/ self.config.temperature", "/ (1.02 * self.config.temperature)", "* self.config.temperature"),
         ("others = similarity.masked_fill(torch.eye(size, dtype=torch.bool, device=self.device), -torch.inf)", "others = similarity"),
         (
             "loss = (others.logsumexp(-1) - own).mean(1)",
@@ -736,12 +731,6 @@ METHODS = [
         ("neighbours: PositiveInt = 16", "neighbours: PositiveInt = 12"),
         ("distance_floor: NonNegativeFloat = 5e-4", "distance_floor: NonNegativeFloat = 1e-4"),
         ('normalise_by: Literal["variance", "std"] = "variance"', 'normalise_by: Literal["variance", "std"] = "std"'),
-    ),
-    survivor(
-        "collectors/cic.py", ("cic",),
-        "/ self.config.temperature",
-        "/ (1.02 * self.config.temperature)",
-        "* self.config.temperature",
     ),
 ]  # fmt: skip
 
@@ -1055,11 +1044,13 @@ CUDC = [
         "collectors/variants.py", ("cudc-no-entropy",),
         ('= {"entropy": False}', "= {}"),
     ),
-    survivor(
+    *mutants(
         "collectors/variants.py", ("cudc-no-pe",),
-        '{"prediction_error": "none"}\n\n\nclass NoVary',
-        '{"prediction_error": "none", "beta": 0.0}\n\n\nclass NoVary',
-        "{}\n\n\nclass NoVary",
+        (
+            '{"prediction_error": "none"}\n\n\nclass NoVary',
+            '{"prediction_error": "none", "beta": 0.0}\n\n\nclass NoVary',
+            "{}\n\n\nclass NoVary",
+        ),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-vary", "cudc-kmax3"),
@@ -1069,11 +1060,9 @@ CUDC = [
         "collectors/variants.py", ("cudc-no-reach",),
         ('"k_rule": "error"', '"k_rule": "reward"'),
     ),
-    survivor(
+    *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
-        '{"inverse": "none", "step_model": False}',
-        '{"inverse": "none"}',
-        '{"step_model": False}',
+        ('{"inverse": "none", "step_model": False}', '{"inverse": "none"}', '{"step_model": False}'),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-uniform-k",),
@@ -1091,17 +1080,21 @@ CUDC = [
         "collectors/variants.py", ("cudc-literal",),
         ('live", "action_target": "live"}', 'live"}'),
     ),
-    survivor(
+    *mutants(
         "collectors/variants.py", ("cudc-vary-icm",),
-        '"prediction_error": "log", "beta": 0.0, "reward_after_update": True',
-        '"prediction_error": "log", "beta": 0.01, "reward_after_update": True',
-        '"prediction_error": "log", "beta": 0.0',
+        (
+            '"prediction_error": "log", "beta": 0.0, "reward_after_update": True',
+            '"prediction_error": "log", "beta": 0.01, "reward_after_update": True',
+            '"prediction_error": "log", "beta": 0.0',
+        ),
     ),
-    survivor(
+    *mutants(
         "collectors/variants.py", ("cudc-vary-apt",),
-        '"prediction_error": "none", "beta": 0.0, "reward_after_update": True',
-        '"prediction_error": "none", "beta": 0.0',
-        '"beta": 0.0, "reward_after_update": True',
+        (
+            '"prediction_error": "none", "beta": 0.0, "reward_after_update": True',
+            '"prediction_error": "none", "beta": 0.0',
+            '"beta": 0.0, "reward_after_update": True',
+        ),
     ),
 ]  # fmt: skip
 
