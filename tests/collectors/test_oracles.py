@@ -22,7 +22,7 @@ from cudc_bench.seeding import stream_seed
 from tests.plain import assert_same, doubles, noisy, perturb, trunk_mlp
 
 from .helpers import batch_for, make
-from .oracles import ORACLES, Explorer, Found, Sample, beside, explore
+from .oracles import ORACLES, RELATIVES, Explorer, Found, Sample, beside, explore
 
 # The sizes all differ, from each other and from those of Walker, so that no axis is taken for another.
 SEEDS, SIZE, FEATURES, RATE = (1, 2), 20, 14, 1e-3
@@ -81,10 +81,19 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
 }
 # Bookkeeping of the rule for k, compared as what comes of it: k, and the manifest's list of its increments.
 BOOKKEEPING = {"updates", "k", "skill", "in_a_row", "last_change", "increments"}
-# What is no number in a formula: sizes, where weights start, how long skills last, and the switches between CUDC's relatives.
-SHAPES = {
-    "width", "batch_size", "feature_dim", "action_feature_dim", "action_hidden", "projection_hidden", "projection_dim", "prototypes",
-    "vae_hidden", "task_dim", "skills", "skill_dim", "models", "skill_every", "w_init", "horizon",
+# What is no number in a formula: sizes, with the values of the specification, and the switches between CUDC's relatives.
+SIZES: dict[str, Any] = {"width": 1024, "batch_size": 1024, "feature_dim": 512, "horizon": 3}
+SIZES_OF: dict[str, dict[str, Any]] = {
+    "apt-k6": {"horizon": 6},
+    "proto": {"feature_dim": 128, "projection_hidden": 512, "prototypes": 512},
+    "aps": {"task_dim": 10, "skill_every": 5},
+    "disagreement": {"models": 5},
+    "diayn": {"skills": 16, "skill_every": 50},
+    "smm": {"vae_hidden": 150, "skills": 4, "skill_every": 0},
+    "cic": {"skill_dim": 64, "skill_every": 50},
+}
+OF_CUDC = {"action_feature_dim": 64, "action_hidden": 64, "projection_hidden": 128, "projection_dim": 64, "w_init": "uniform"}
+SWITCHES = {
     "k_max", "encoder", "action_encoder", "inverse", "step_model", "reach", "regularize", "entropy", "prediction_error", "k_rule",
     "inverse_k_batch",
 }  # fmt: skip
@@ -185,12 +194,16 @@ def compare(collector: Any, seen: dict[str, Tensor | None], metrics: dict[str, T
     member.assert_equals(collector, when)
 
 
+def oracle_of(name: str) -> Any:
+    if name not in ORACLES:
+        pytest.fail(f"the collector '{name}' is registered but has no oracle: write down its formulas in tests/collectors/oracles.py")
+    return ORACLES[name]
+
+
 @pytest.mark.parametrize("run", RUNS, ids=title)
 def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> None:
     name, settings = run
-    if name not in ORACLES:
-        pytest.fail(f"the collector '{name}' is registered but has no oracle: write down its formulas in tests/collectors/oracles.py")
-    values = of_a_run(name, settings)
+    oracle, values = oracle_of(name), of_a_run(name, settings)
     seed_steps = values.pop("seed_steps", 4000)
     own = {key: value for key, value in values.items() if key not in AGENT}
     agent = {key: value for key, value in values.items() if key in AGENT} | {"learning_rate": RATE}
@@ -204,7 +217,7 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
             metrics = collector.update(batch)
             assert bool(metrics) == batch.measure
             for member in members:
-                found = explore(member, sample(batch, member.e), ORACLES[name], own, **agent)
+                found = explore(member, sample(batch, member.e), oracle, own, **agent)
                 compare(collector, seen, metrics, member, found)
         if set(settings) & {"c_w", "c_r", "c_e"}:
             assert 0 < sum(len(member.increments) for member in members) < len(FURTHER) * len(SEEDS)
@@ -222,16 +235,75 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
 
 @pytest.mark.parametrize("name", NAMES)
 def test_hyperparameters_are_those_of_the_formulas(name: str) -> None:
-    """Every number of a method's configuration has a part in its formulas, and its default is the one that is written there."""
+    """Every number of a method's configuration has a part in its formulas, or is a size; its default is the one that is written down."""
     config = vars(plugins.load("collectors", name).configure("walker"))
     written = {
         key: one.default
-        for function in (ORACLES[name], explore)
+        for function in (oracle_of(name), explore)
         for key, one in inspect.signature(function).parameters.items()
         if key in config and one.default is not inspect.Parameter.empty
     }
-    assert {key: config[key] for key in written} == written
-    assert set(config) <= set(written) | SHAPES
+    sizes = SIZES | (OF_CUDC if name in RELATIVES else {}) | SIZES_OF.get(name, {})
+    written |= {key: value for key, value in sizes.items() if key in config}
+    assert {key: value for key, value in config.items() if key not in SWITCHES or name not in RELATIVES} == written
+
+
+def layers(name: str) -> dict[str, tuple[int, ...]]:
+    """The sizes of every network, from its input to its output (spec 2 to 5)."""
+    s, a, w, z = 24, 6, 16, FEATURES
+    if name in RELATIVES:
+        parts, found = RELATIVES[name], {}
+        ks = parts.k_max - 2
+        z_a = 64 if parts.phi_a else a
+        if parts.encoder is None:
+            z = s
+        else:
+            found["state_encoder"] = (s, w, z) if parts.encoder == "φ_s" else (s, z)
+        if parts.phi_a:
+            found["action_encoder"] = (a, 64, 64, 64)
+        found["forward_model"] = (z + z_a + ks, w, z)
+        if parts.inverse is not None:
+            found["inverse_model"] = (2 * z + ks, w, 64) if parts.inverse == "features" else (2 * z, w, a)
+        if parts.f_k:
+            found["step_model"] = (2 * z, w, ks)
+        if parts.reach:
+            found |= {"projection": (z, 128, 64), "momentum_projection": (z, 128, 64), "similarity": (64, 64)}
+        if parts.reach or name == "cudc-momentum":
+            found["momentum_encoder"] = found["state_encoder"]
+        skill, values = 0, 1
+    else:
+        apt = {"encoder": (s, z), "forward_model": (z + a, w, z), "inverse_model": (2 * z, w, a)}
+        found = {
+            "icm": {"forward_model": (s + a, w, s), "inverse_model": (2 * s, w, a)},
+            **dict.fromkeys(["apt", "apt-k6", "apt-ksched", "be"], apt),
+            "proto": {"predictor": (s, z), "slow_predictor": (s, z), "projector": (z, 10, z), "prototypes": (z, 8)},
+            "aps": {"features": (s, w, w, 10)},
+            "rnd": {"predictor": (s, w, w, z), "random_network": (s, w, w, z)},
+            "disagreement": {"models": (s + a, w, s)},
+            "diayn": {"discriminator": (s, w, w, 16)},
+            "smm": {"encoder": (s + 4, 150, 150, 2 * 128), "decoder": (128, 150, 150, s + 4), "discriminator": (s, w, w, 4)},
+            "cic": {"state_network": (s, w, w, 64), "pair_network": (2 * 64, w, w, 64), "skill_network": (64, w, w, 64)},
+        }[name]
+        skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64}.get(name, 0), 10 if name == "aps" else 1
+    # Two heads side by side behind one trunk, the hidden layers of both together.
+    critic = (s + skill + a, w, 2 * w, 2 * values)
+    return found | {"actor": (s + skill, w, w, a), "critic": critic, "target_critic": critic}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_networks_have_the_layers_of_the_specification(name: str) -> None:
+    collector = make(name, SEEDS, batch_size=SIZE, feature_dim=FEATURES, **of_a_run(name, {}))
+    found: dict[str, list[int]] = {}
+    for label, weight in collector.named_parameters():
+        inputs, outputs = weight.shape[1:]
+        network = label.split(".")[0]
+        if network == "prototypes":
+            inputs, outputs = outputs, inputs
+        if inputs > 1:  # neither a bias nor a scale
+            sizes = found.setdefault(network, [inputs])
+            assert inputs in {sizes[-1], 2 * sizes[-1]} if network.endswith("critic") else inputs == sizes[-1]
+            sizes.append(outputs)
+    assert {network: tuple(sizes) for network, sizes in found.items()} == layers(name)
 
 
 def assert_orthogonal(weight: Tensor) -> None:

@@ -215,7 +215,7 @@ AGENT = [
         "collectors/ddpg.py", AGENTS,
         "        with torch.no_grad():\n            following, skill = ",
         "        with torch.enable_grad():\n            following, skill = ",
-        "the actor's own step clears its gradient first, so that what the critics' loss left there is never seen",
+        CLEARED,
     ),
     *mutants(
         "collectors/ddpg.py", ("icm", "cudc"),
@@ -253,6 +253,79 @@ AGENT = [
     *mutants(
         "collectors/ddpg.py", ("proto", "cudc", "cudc-reward"),
         ("        self.update_targets()\n", ""),
+    ),
+]  # fmt: skip
+
+LAYERS = [
+    *mutants(
+        "collectors/icm.py", ("icm",),
+        ("mlp(random, s + a, width, s)", "mlp(random, s + a, width, width, s)"),
+        ("mlp(random, 2 * s, width, a,", "mlp(random, 2 * s, width, width, a,"),
+    ),
+    *mutants(
+        "collectors/apt.py", ("apt", "be"),
+        ("mlp(random, z + a, width, z)", "mlp(random, z + a, width, width, z)"),
+        ("mlp(random, 2 * z, width, a,", "mlp(random, 2 * z, z, a,"),
+        ("feature_dim: PositiveInt = 512", "feature_dim: PositiveInt = 256"),
+    ),
+    *mutants(
+        "collectors/proto.py", ("proto",),
+        ("mlp(random, config.feature_dim, config.projection_hidden, config", "mlp(random, config.feature_dim, config.feature_dim, config"),
+        ("prototypes: PositiveInt = 512", "prototypes: PositiveInt = 256"),
+        ("F.normalize(drawn.transpose(1, 2), dim=-1)", "drawn.transpose(1, 2)"),
+        (
+            "make_target(self.predictor, Linear(random, s, config.feature_dim))",
+            "Linear(random, s, config.feature_dim).requires_grad_(False)",
+        ),
+    ),
+    *mutants(
+        "collectors/aps.py", ("aps",),
+        ("config.width, config.width, config.task_dim)", "config.width, config.task_dim)"),
+    ),
+    *mutants(
+        "collectors/rnd.py", ("rnd",),
+        ("self.config.width, self.config.width, self.config.feature_dim)", "self.config.width, self.config.feature_dim)"),
+    ),
+    *mutants(
+        "collectors/disagreement.py", ("disagreement",),
+        ("models: Annotated[int, Field(ge=2, le=1000)] = 5", "models: int = 4"),
+    ),
+    *mutants(
+        "collectors/diayn.py", ("diayn",),
+        ("width, width, self.config.skills)", "width, self.config.skills)"),
+        ("skill_every: NonNegativeInt = 50", "skill_every: NonNegativeInt = 10"),
+    ),
+    *mutants(
+        "collectors/smm.py", ("smm",),
+        ("hidden, hidden, inputs)", "hidden, inputs)"),
+        ("config.width, config.width, config.skills)", "config.width, config.skills)"),
+        ("skill_every: NonNegativeInt = 0", "skill_every: NonNegativeInt = 50"),
+    ),
+    *mutants(
+        "collectors/cic.py", ("cic",),
+        ("self.skill_network = mlp(random, config.skill_dim, width, width,", "self.skill_network = mlp(random, config.skill_dim, width,"),
+    ),
+    *mutants(
+        "collectors/cudc.py", ("cudc", "cudc-no-reach", "cudc-reach"),
+        ("mlp(random, s + a + self.horizons, width, s)", "mlp(random, s + a + self.horizons, width, width, s)"),
+        ("config.action_hidden, config.action_hidden, a)", "config.action_hidden, a)"),
+        ("mlp(random, 2 * s, width, self.horizons)", "mlp(random, 2 * s, width, width, self.horizons)"),
+    ),
+    *mutants(
+        "collectors/cudc.py", ("cudc", "cudc-reach"),
+        ("projection_hidden: PositiveInt = 128", "projection_hidden: PositiveInt = 64"),
+        ("make_target(self.state_encoder, self._state_encoder(random))", "self._state_encoder(random).requires_grad_(False)"),
+        ("return random.uniform(size, size)", "return random.uniform(size, size) - 0.5"),
+    ),
+    *mutants(
+        "cudc_bench/networks.py", AGENTS,
+        (
+            "block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)",
+            "block.copy_(1.4 * nn.init.orthogonal_(drawn, generator=generator).T)",
+        ),
+        ("for block in member.chunk(blocks, dim=1):", "for block in [member]:"),
+        ("bias = torch.zeros(random.count, 1, outputs,", "bias = 0.1 + torch.zeros(random.count, 1, outputs,"),
+        ("self.hidden = Linear(random, width, 2 * width, blocks=2)", "self.hidden = Linear(random, width, 2 * width)"),
     ),
 ]  # fmt: skip
 
@@ -1025,4 +1098,4 @@ CUDC = [
     ),
 ]  # fmt: skip
 
-MUTANTS: list[Mutant] = [*NETWORKS, *AGENT, *METHODS, *CUDC]
+MUTANTS: list[Mutant] = [*NETWORKS, *AGENT, *LAYERS, *METHODS, *CUDC]
