@@ -10,7 +10,7 @@ from itertools import combinations
 from .grid import Column, Entry, Grid, Line, Part
 from .load import column, is_own, short
 from .missing import Wanted
-from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing
+from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing, unit_of
 from .overall_figures import draw_estimates
 from .plans import STUDY_METHODS
 from .study import Study, known_tasks
@@ -99,12 +99,12 @@ def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, pla
             ]
             lines.append(Line((method,), tuple(entries)))
         shown.append(Part(f"{scope}, {short(milestone)} steps", f"{scope}, {milestone}", tuple(lines)))
+    every = [one for found in parts.values() for one in found.values()]
     return Grid(
         name=statistic,
         title=f"{title} by learner",
-        caption=f"{title} over tasks and collector seeds of returns divided by each task's largest possible one, as in each learner's own"
-        " comparison over tasks (overall.md says what enters). In square brackets: 95 % intervals by Student's t over datasets; in"
-        " brackets the number of seeds.",
+        caption=f"{title} over tasks and collector seeds of {unit_of(every)}, as in each learner's own comparison over tasks (overall.md"
+        " says what enters). In square brackets: 95 % intervals by Student's t over datasets; in brackets the number of seeds.",
         split="scope",
         head=("method",),
         columns=tuple(Column(name, 3) for name in names),

@@ -3,10 +3,12 @@
 What enters a comparison, for one group, algorithm and milestone:
 
 1. Its *scope* is all domains of the group, or one of them. Methods without results in one of the scope's domains are left out of it.
-2. Its tasks are those on which every one of these methods has a score. Only tasks with a known largest return enter, since scores are
-   returns divided by it.
+2. Its tasks are those on which every one of these methods has a score. Only tasks with a known largest return enter.
 3. A collector seed of a method enters with all tasks of its domain or not at all, since it is the unit of replication. Several training
    runs on one dataset count once, as their mean.
+
+Scores are returns between the task's floor and its ceiling (:mod:`cudc_bench.references`) if every task of the comparison has a reference,
+and otherwise returns divided by the task's largest possible one. Never both in one comparison.
 
 So methods are always compared on the same tasks; what was left out is said in :attr:`Comparison.left_out`. The numbers of seeds may differ
 between methods, which are independent samples, and between a method's domains: every task weighs the same, however many seeds it has.
@@ -19,9 +21,10 @@ astray.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 from statistics import fmean
 
 import numpy as np
@@ -29,12 +32,15 @@ import numpy as np
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
+from cudc_bench.references import Bounds
 
 from . import statistics
 from .incremental import computed
-from .load import column, short, submitted_columns
+from .load import column, extent, short, submitted_columns
+from .power import FOUND, Power, power_of
+from .scale import BETWEEN, OF_LARGEST, References, scale_of
 from .statistics import SIGNIFICANCE, Floats, Interval, Scores
-from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, extent, group_slug, ordered, span, submitted_caption
+from .table import ENOUGH_SEEDS, METHOD_ORDER, Table, group_slug, ordered, span, submitted_caption
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
 LEAD = next(iter(statistics.AGGREGATES))
@@ -67,7 +73,7 @@ class Standing:
     Attributes:
         method: its name, as in tables.
         returns: mean undiscounted returns, (n, T) for each domain; row i is the domain's i-th collector seed.
-        scores: the same divided by the tasks' largest returns.
+        scores: the same normalised, see :attr:`Comparison.references`.
         seeds: for each domain the collector seeds.
         estimates: of ``mean``, ``iqm``, ``median`` and ``optimality_gap``, see :mod:`.statistics`.
         profile: share of runs above each of :data:`THRESHOLDS`.
@@ -133,6 +139,9 @@ class Comparison:
         standings: one for each method, in tables' order.
         pairs: of every method with every other, in both directions.
         left_out: one line for each thing that did not enter, and why.
+        references: of each task, if all of them have one: scores are then between its floor and its ceiling. Otherwise None: they are
+            returns divided by the task's largest.
+        unreferenced: tasks without a reference, where others have one.
     """
 
     scope: str
@@ -141,6 +150,8 @@ class Comparison:
     standings: tuple[Standing, ...]
     pairs: tuple[Pair, ...]
     left_out: tuple[str, ...]
+    references: tuple[Bounds, ...] | None = None
+    unreferenced: tuple[Task, ...] = ()
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -178,7 +189,48 @@ class Comparison:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know of it, in sentences."""
-        return (f"No probabilities of ranks: {self.unranked}.",) if self.unranked and len(self.standings) > 1 else ()
+        found = []
+        if self.unreferenced:
+            lacking = ", ".join(f"{domain} {task}" for domain, task in self.unreferenced)
+            found.append(f"Not by references, which these tasks have not: {lacking}.")
+        if self.unranked and len(self.standings) > 1:
+            found.append(f"No probabilities of ranks: {self.unranked}.")
+        return (*found, *self._least())
+
+    def _least(self) -> list[str]:
+        """What no p-value can go below."""
+        tested = [standing for standing in self.standings if standing.n > 1]
+        if len(tested) < 2:
+            return []
+        counts = [(x.counts, y.counts) for x, y in combinations(tested, 2)]
+        least = sorted({statistics.least_p(list(zip(x, y, strict=True))) for x, y in counts})
+        corrected = sorted({min(1.0, (len(tested) - 1) * p) for p in least})
+        each = " in each domain" if len(self.domains) > 1 else ""
+        alike = len({count for standing in tested for count in standing.counts}) == 1
+        which = f"of {tested[0].n} against {tested[0].n} seeds{each}" if alike else "of its pairs, which have different numbers of seeds,"
+        text = f"The permutation test {which} can give no p below {_numbers_text(least)}"
+        if len(tested) > 2:
+            text += f", which Holm's correction for {len(tested) - 1} comparisons makes {_numbers_text(corrected)}"
+        return [f"{text}{': no difference can pass it' if corrected[0] >= SIGNIFICANCE else ''}."]
+
+    @property
+    def points(self) -> float | None:
+        """How many points of return a score of 1 is, on average over tasks; None over domains whose returns are of different size."""
+        if len({DOMAINS[domain].max_return for domain in self.domains}) > 1:
+            return None
+        if self.references:
+            return fmean(bounds.ceiling - bounds.floor for bounds in self.references)
+        return DOMAINS[self.domains[0]].max_return
+
+    @property
+    def unit(self) -> str:
+        """What its scores are."""
+        return BETWEEN if self.references else OF_LARGEST
+
+    @property
+    def axis(self) -> str:
+        """The same in few words, for a figure."""
+        return "0: floor, 1: ceiling" if self.references else "return / largest possible return"
 
     @property
     def title(self) -> str:
@@ -199,6 +251,7 @@ class Overall:
         slug: a safe and unique name for files.
         comparisons: by milestone, the last first; for each all domains together and then, if there are several, each by itself.
         submitted: methods that others handed in, and nobody ran again here.
+        power: what the seeds of the headline, and other numbers of them, can show; None if that is not known.
     """
 
     group: str
@@ -206,6 +259,40 @@ class Overall:
     slug: str
     comparisons: tuple[Comparison, ...]
     submitted: tuple[str, ...] = ()
+    power: Power | None = None
+
+    @property
+    def power_text(self) -> str:
+        """The same in a few sentences; empty where there is nothing to be tested."""
+        headline = self.headline
+        if sum(standing.n > 1 for standing in headline.standings) < 2:
+            return ""
+        if self.power is None:
+            return "Power: not known, since too few seeds say how much seeds differ."
+        power = self.power
+        own = power.design.lead
+        found = "no lead is" if own is None else f"a lead of {self.lead(own)} is"
+        more = [(one.seeds, one.lead) for one in power.designs if one.lead is not None and one.seeds > power.own]
+        others = ", ".join(f"with {seeds} one of {self.lead(lead, bare=True)}" for seeds, lead in more)
+        low, high = (self.lead(end, bare=True) for end in (power.within.low, power.within.high))
+        return (
+            f"Power: with {span([power.own], 'seed')} {found} found in {round(10 * FOUND)} of 10 cases{f' ({others})' if others else ''},"
+            f" by what makes an improvement: an interval above 0.5, and the two-sided permutation test at {SIGNIFICANCE} after Holm's"
+            f" correction for {span([power.comparisons], 'comparison')}. Simulated with the covariance that was measured between seeds,"
+            f" pooled over methods: the mean over tasks of one seed deviates by {self.lead(power.deviation)} (95 % interval {low} to"
+            f" {high}, {power.freedom} degrees of freedom)."
+        )
+
+    def lead(self, score: float, bare: bool = False) -> str:
+        """A difference of scores in the headline: in points of return where scores are returns divided by one number; ``bare``: alone."""
+        points, by_references = self.headline.points, self.headline.references is not None
+        in_points = "" if points is None else f"{points * score:.0f}"
+        text = in_points if in_points and not by_references else f"{score:.3f}"
+        if bare:
+            return text
+        # On average, since tasks have ceilings of their own.
+        also = f" ({in_points} points)" if in_points and by_references else ""
+        return f"{text} {'points' if text == in_points else 'in score'}{also} a task"
 
     @property
     def headline(self) -> Comparison:
@@ -217,7 +304,7 @@ class Overall:
     def caption(self) -> str:
         """What the numbers are, in plain ASCII except for what records bring along."""
         return (
-            f"Returns of {self.algorithm} divided by each task's largest possible return, over collector seeds and tasks."
+            f"Scores of {self.algorithm} over collector seeds and tasks: {unit_of(self.comparisons)}."
             f" Profile: {self.group}. Mean: of the tasks' means. IQM: mean without the lowest and highest quarter of runs; of tasks of"
             " unequal scale it leaves out the easiest and the hardest. Median: of the tasks' means. Optimality gap: mean of max(0, 1 -"
             " score), smaller is better. In square brackets: 95 % intervals by Student's t over datasets, each with all its tasks"
@@ -227,6 +314,22 @@ class Overall:
             + submitted_caption(self.submitted)
             + (f" {PRELIMINARY}" if any(comparison.preliminary for comparison in self.comparisons) else "")
         )
+
+
+def unit_of(comparisons: Iterable[Comparison]) -> str:
+    """What the scores of some comparisons are, which may differ in that."""
+    units: dict[str, list[Comparison]] = defaultdict(list)
+    for one in comparisons:
+        units[one.unit].append(one)
+    if len(units) == 1:
+        return next(iter(units))
+    # Milestones of one scope differ only if their tasks do.
+    both = set.intersection(*({one.scope for one in found} for found in units.values()))
+    return "; ".join(
+        f"{unit}, on "
+        + ", ".join(dict.fromkeys(f"{one.scope} at {short(one.milestone)} steps" if one.scope in both else one.scope for one in found))
+        for unit, found in units.items()
+    )
 
 
 PAIRS_CAPTION = (
@@ -261,7 +364,10 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
             handed = submitted_columns(record for table in groups[group, algorithm] for record in table.records)
             submitted = tuple(method for method in handed if method in compared)
             found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons, submitted))
-    return found
+    powers = computed(
+        [partial(power_of, [standing.scores for standing in one.headline.standings]) for one in found], "simulating power", "comparisons", 1
+    )
+    return [replace(one, power=power) for one, power in zip(found, powers, strict=True)]
 
 
 # For each domain, method and task the mean return of each collector seed.
@@ -273,6 +379,7 @@ def _comparisons(tables: Sequence[Table]) -> list[Callable[[], Comparison | None
     found: list[Callable[[], Comparison | None]] = []
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
         domains, notes = {}, []
+        references = {table.domain: table.references for table in tables}
         for table in sorted(tables, key=lambda table: _place(table.domain)):
             if all(section.milestone != milestone for section in table.sections):
                 notes.append(f"{table.domain}: {short(milestone)} steps is none of its milestones.")
@@ -292,7 +399,7 @@ def _comparisons(tables: Sequence[Table]) -> list[Callable[[], Comparison | None
             scopes += [(name, {name: results}) for name, results in domains.items()]
         for scope, part in scopes:
             left_out = notes if scope == ALL or len(domains) == 1 else []
-            found.append(partial(_compare, scope, milestone, part, left_out))
+            found.append(partial(_compare, scope, milestone, part, left_out, references))
     return found
 
 
@@ -313,7 +420,9 @@ def _results(records: Sequence[Record], milestone: int) -> _Domain:
     return found
 
 
-def _compare(scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str]) -> Comparison | None:
+def _compare(
+    scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str], references: Mapping[str, References]
+) -> Comparison | None:  # fmt: skip
     left_out = list(notes)
     every = ordered({method for results in domains.values() for method in results}, METHOD_ORDER)
     methods = []
@@ -343,7 +452,7 @@ def _compare(scope: str, milestone: int, domains: Mapping[str, _Domain], notes: 
             entering[method] = returns, seeds
     if not entering:
         return None
-    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out])
+    return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out], references)
 
 
 # The returns of a method in each domain, and its collector seeds there.
@@ -366,22 +475,41 @@ def _seeds(method: str, domains: Mapping[str, _Domain], tasks: Sequence[Task]) -
     return complete, lines
 
 
+def _numbers_text(values: Sequence[float]) -> str:
+    """One number, or the least and the largest of several, in two digits."""
+    ends = dict.fromkeys(f"{value:.2g}" for value in (values[0], values[-1]))
+    return " to ".join(ends)
+
+
 def _numbers(seeds: Sequence[int]) -> str:
     shown = ", ".join(map(str, seeds[:10]))
     return f"seed{'s' if len(seeds) > 1 else ''} {shown}{', …' if len(seeds) > 10 else ''}"
 
 
 def _comparison(
-    scope: str, milestone: int, tasks: tuple[Task, ...], entering: Mapping[str, _Entering], left_out: Sequence[str]
+    scope: str, milestone: int, tasks: tuple[Task, ...], entering: Mapping[str, _Entering], left_out: Sequence[str],
+    references: Mapping[str, References],
 ) -> Comparison:  # fmt: skip
-    domains = list(dict.fromkeys(domain for domain, _ in tasks))
-    shapes = [(1, sum(domain == one for one, _ in tasks)) for domain in domains]
-    scores = {
-        method: [block / DOMAINS[domain].max_return for domain, block in zip(domains, returns, strict=True)]
-        for method, (returns, _) in entering.items()
+    having = {(domain, task): references[domain][task] for domain, task in tasks if task in references[domain]}
+    by_references = len(having) == len(tasks)
+    scales = {
+        (domain, task): scale for domain, task in tasks if (scale := scale_of(domain, task, references[domain] if by_references else {}))
     }
-    possible = [np.full(shape, end) for end in (0.0, 1.0) for shape in shapes]
-    lowest, highest = possible[: len(shapes)], possible[len(shapes) :]
+    domains = list(dict.fromkeys(domain for domain, _ in tasks))
+
+    def scored(returns: Scores) -> list[Floats]:
+        """Returns of all tasks, (n, T) for each domain, as scores."""
+        of = [[scale for (one, _), scale in scales.items() if one == domain] for domain in domains]
+        return [
+            np.stack([scale.score(column) for scale, column in zip(some, block.T, strict=True)], 1)
+            for some, block in zip(of, returns, strict=True)
+        ]
+
+    scores = {method: scored(returns) for method, (returns, _) in entering.items()}
+    lowest, highest = (
+        scored([np.array([[end(scale) for (one, _), scale in scales.items() if one == domain]]) for domain in domains])
+        for end in (lambda scale: scale.least, lambda scale: scale.largest)
+    )
     standings = [
         Standing(
             method=method,
@@ -395,7 +523,10 @@ def _comparison(
         )
         for method, (returns, seeds) in entering.items()
     ]
-    found = Comparison(scope, milestone, tasks, tuple(standings), tuple(_pairs(scores)), tuple(left_out))
+    found = Comparison(
+        scope, milestone, tasks, tuple(standings), tuple(_pairs(scores)), tuple(left_out),
+        tuple(having.values()) if by_references else None, tuple(one for one in tasks if one not in having) if having else (),
+    )  # fmt: skip
     return found if found.unranked else replace(found, standings=_ranked(standings))
 
 

@@ -34,18 +34,23 @@ def draw_intervals(overall: Overall) -> Figure:
     """A panel for each aggregate, as :func:`draw_estimates` draws them."""
     comparison = overall.headline
     panels = {label: {standing.method: standing.estimates[name] for standing in comparison.standings} for name, label in NAMES.items()}
-    return draw_estimates(_title("Aggregates and 95 % intervals", overall, 0), comparison.methods, panels, NAMES["optimality_gap"])
+    what = f"Aggregates of scores ({comparison.axis}) and 95 % intervals"
+    return draw_estimates(_title(what, overall, 0), comparison.methods, panels, NAMES["optimality_gap"])
 
 
 def draw_domains(overall: Overall) -> Figure:
     """The mean score of each method at the last milestone, a panel for each domain and one for all together."""
     last = [one for one in overall.comparisons if one.milestone == overall.comparisons[0].milestone]
-    panels = {one.scope: {standing.method: standing.estimates[LEAD] for standing in one.standings} for one in last}
+    alike = len({one.axis for one in last}) == 1
+    panels = {
+        one.scope if alike else f"{one.scope}\n({one.axis})": {standing.method: standing.estimates[LEAD] for standing in one.standings}
+        for one in last
+    }
     methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
     seeds = span([count for one in last for standing in one.standings for count in standing.counts], "seed")
     what = f"{overall.algorithm}, profile {overall.group}: {short(last[0].milestone)} steps, {seeds}"
-    title = f"Mean score and 95 % intervals by domain: {what}"
-    return draw_estimates(title, methods, panels, alike=True)
+    title = f"Mean score{f' ({last[0].axis})' if alike else ''} and 95 % intervals by domain: {what}"
+    return draw_estimates(title, methods, panels, alike=alike)
 
 
 def draw_estimates(
@@ -107,10 +112,10 @@ def draw_profiles(overall: Overall) -> Figure:
         look = shown[standing.method]
         panel.plot(THRESHOLDS, standing.profile, linewidth=0.8 if standing.band is None else 1.4, **look)
         if standing.band is not None:
-            panel.fill_between(THRESHOLDS, *standing.band, color=look["color"], alpha=0.12, linewidth=0)
+            panel.fill_between(THRESHOLDS, *standing.band, color=look["color"], alpha=0.08, linewidth=0)
     panel.set_xlim(0, 1)
     panel.set_ylim(0, 1)
-    panel.set_xlabel("score τ (return / largest possible return)")
+    panel.set_xlabel(f"score τ ({comparison.axis})")
     panel.set_ylabel("share of runs above τ")
     return figure
 

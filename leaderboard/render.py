@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cudc_bench.markup import escape_markdown, plain, templates
+from cudc_bench.references import Bounds
 
 from .diagnostics import Comparison
 from .load import short
 from .overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Estimate, Overall, Pair
+from .power import FOUND
 from .published import PaperTable
 from .statistics import Interval
 from .table import Cell, Table
@@ -38,15 +40,25 @@ def to_latex(table: Table) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """One line for each cell in full precision; a missing cell has 0 seeds and neither mean nor standard deviation."""
+    """One line for each cell in full precision; a missing cell has 0 seeds and neither mean nor standard deviation.
+
+    ``floor``, ``untrained`` and ``ceiling`` are those of the task's reference, ``score`` and ``score_std`` the mean and its standard
+    deviation between floor and ceiling; empty where a task has no reference.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "best"])
+    writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "best", "floor", "untrained",
+                     "ceiling", "score", "score_std"])  # fmt: skip
     for section in table.sections:
         for row in section.rows:
+            bounds = table.references.get(row.task)
+            of_task = [bounds.floor, bounds.untrained, bounds.ceiling] if bounds else [None] * 3
             for method, cell in zip(table.methods, row.cells, strict=True):
                 values = [cell.mean, cell.std, cell.n, cell.best] if cell else [None, None, 0, False]
-                writer.writerow([table.group, table.algorithm, table.domain, section.milestone, row.task, method, *values])
+                scored = cell.scored(bounds) if cell and bounds else None
+                scores = [scored.mean, scored.std] if scored else [None, None]
+                where = [table.group, table.algorithm, table.domain, section.milestone, row.task, method]
+                writer.writerow([*where, *values, *of_task, *scores])
     return text.getvalue()
 
 
@@ -65,17 +77,40 @@ def to_rich(table: Table) -> Group:
 
     shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
     shown.add_column("")
-    turned = len(table.methods) > _SIDE_BY_SIDE
-    for name in table.tasks if turned else table.methods:
+    turned = len(table.headings) > _SIDE_BY_SIDE
+    for name in table.tasks if turned else table.headings:
         shown.add_column(Text(name), justify="right")
-    for section in table.sections:
-        shown.add_row(Text(f"{short(section.milestone)} steps", style="bold"))
-        cells = [[Text(_text(cell), style="bold" if cell and cell.best else "") for cell in row.cells] for row in section.rows]
-        for name, line in zip(table.methods if turned else table.tasks, zip(*cells, strict=True) if turned else cells, strict=True):
+
+    def block(title: str, tasks: Sequence[str], rows: Sequence[Sequence[tuple[str, bool]]]) -> None:
+        shown.add_row(Text(title, style="bold"))
+        cells = [[Text(text, style="bold" if best else "") for text, best in row] for row in rows]
+        for name, line in zip(table.headings if turned else tasks, zip(*cells, strict=True) if turned else cells, strict=True):
             shown.add_row(Text(name), *line)
         shown.add_section()
+
+    for section in table.sections:
+        rows, scores = [], []
+        for row in section.rows:
+            bounds = table.references.get(row.task)
+            marks = [bool(cell and cell.best) for cell in row.cells]
+            ends = [(str(round(end)) if bounds else "–", False) for end in ((bounds.floor, bounds.ceiling) if bounds else (0.0, 0.0))]
+            texts = list(zip(map(_text, row.cells), marks, strict=True))
+            rows.append([ends[0], *texts, ends[1]] if table.references else texts)
+            scored = [score(cell, bounds, "±") if cell and bounds else "–" for cell in row.cells]
+            scores.append(
+                [("0", False), *zip(scored, marks, strict=True), ("1", False)] if bounds else [("–", False)] * len(table.headings)
+            )
+        block(f"{short(section.milestone)} steps", table.tasks, rows)
+        if table.references:
+            block(f"{short(section.milestone)} steps, scores", table.tasks, scores)
     title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
     return Group(title, shown, Text(table.caption, style="dim"))
+
+
+def score(cell: Cell, bounds: Bounds, plus_minus: str) -> str:
+    """A cell's mean and standard deviation between a floor and a ceiling."""
+    found = cell.scored(bounds)
+    return f"{found.mean + 0.0:.2f}" + ("" if found.std is None else f"{plus_minus}{found.std:.2f}")
 
 
 def paper_to_markdown(paper: PaperTable) -> str:
@@ -155,6 +190,23 @@ def scores_to_csv(overall: Overall) -> str:
     return text.getvalue()
 
 
+def power_to_csv(overall: Overall) -> str:
+    """One line for each number of seeds: what the headline's test can find with them; no lines where that is not known."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["group", "algorithm", "scope", "milestone", "seeds", "own", "comparisons", "least_p", "least_p_holm", "found_in",
+                     "lead_score", "lead_points", "deviation", "deviation_low", "deviation_high", "degrees_of_freedom"])  # fmt: skip
+    if (power := overall.power) is not None:
+        headline = overall.headline
+        where = [overall.group, overall.algorithm, headline.scope, headline.milestone]
+        measured = [power.deviation, *_ends(power.within), power.freedom]
+        for one in power.designs:
+            points = None if one.lead is None or headline.points is None else one.lead * headline.points
+            design = [one.seeds, one.seeds == power.own, power.comparisons, one.least, one.corrected, FOUND, one.lead, points]
+            writer.writerow([*where, *design, *measured])
+    return text.getvalue()
+
+
 def overall_to_rich(overall: Overall) -> Group:
     """For a terminal: the headline comparison, the mean with its interval first."""
     from rich import box
@@ -175,9 +227,10 @@ def overall_to_rich(overall: Overall) -> Group:
         shown.add_row(*map(Text, row))
     wins = [f"{pair.method} over {pair.other} ({_chance(pair)})" for pair in comparison.pairs if pair.better]
     lines = [
-        "Returns divided by each task's largest; IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
+        f"Scores: {comparison.unit}. IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
         f"Improvements (interval above 0.5, Holm's p < 0.05): {len(wins)}{f', such as {wins[-1]}' if wins else ''}.",
         *comparison.remarks,
+        *([overall.power_text] if overall.power_text else []),
         *([PRELIMINARY] if comparison.preliminary else []),
         *(f"Left out: {line}" for line in comparison.left_out),
     ]
@@ -254,4 +307,4 @@ def _ends(interval: Interval | None) -> tuple[float | None, float | None]:
 
 def _render(template: str, escape: Callable[[str], str], **values: Any) -> str:
     environment = templates(Path(__file__).with_name("templates"), escape)
-    return environment.get_template(template).render(round=round, short=short, **values)
+    return environment.get_template(template).render(round=round, short=short, score=score, **values)

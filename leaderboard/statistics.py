@@ -278,9 +278,10 @@ def profile(scores: Scores, thresholds: Floats) -> Floats:
 
 
 def profile_band(scores: Scores, thresholds: Floats) -> tuple[Floats, Floats]:
-    """Lower and upper border, (k,) each, of pointwise 95 % intervals of :func:`profile`, for several seeds in each domain.
+    """Lower and upper border, (k,) each, of pointwise 95 % intervals of :func:`profile` at ascending thresholds, for several seeds.
 
-    Where no dataset differs from the others, Wilson's interval stands, with as many trials as there are datasets.
+    Where no dataset differs from the others, Wilson's interval stands, with as many trials as there are datasets. No border rises: the true
+    profile cannot, so that what holds it at one threshold bounds it at all further ones.
     """
     tasks = sum(block.shape[1] for block in scores)
     above = [(block[..., None] > thresholds).mean(1) for block in scores]  # (n, k): the share of each dataset's tasks
@@ -296,7 +297,8 @@ def profile_band(scores: Scores, thresholds: Floats) -> tuple[Floats, Floats]:
         )
         for at in range(len(thresholds))
     ]
-    return np.array([one.low for one in found]), np.array([one.high for one in found])
+    low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
+    return np.maximum.accumulate(low[::-1])[::-1], np.minimum.accumulate(high)
 
 
 def _wilsons(shares: Sequence[float], counts: Sequence[int], weights: Sequence[float]) -> Interval:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
@@ -21,8 +23,9 @@ from .missing import Wanted
 from .overall import Overall
 from .plans import PLANS, Plan, canonical
 from .published import CITATION, MEAN, beside, caption, reported_relative, scale
+from .scale import LABELS, references_caption
 from .sizes import build_sizes
-from .study import SCORE, SCORE_TEXT, Study, alias_notes, known_tasks, of_seeds, score_entry, score_matrix
+from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
 from .study_figures import draw_bounds
 from .table import ENOUGH_SEEDS, Block, Cell, Runs, build_cell, mark_best, ordered
 
@@ -58,7 +61,8 @@ def _of_plan(block: Block, plan: Plan) -> Study | None:
     if not any(one.dataset.method in plan.own for one in records):
         return None
     runs = _runs(block, plan, chosen)
-    tables = [_returns(runs)]
+    returns = _returns(runs)
+    tables = [returns, *scored_grid(returns, runs.tasks, runs.references)]
     if plan.relative and (relative := _relative(runs)):
         tables = [relative, *tables, *_beside_relative(runs, relative)]
     tables += _beside(runs, plan)
@@ -96,7 +100,8 @@ def _runs(block: Block, plan: Plan, chosen: dict[tuple[str, str], Sequence[Recor
         for task in tasks:
             row = mark_best([build_cell(chosen.get((method, task), ()), milestone) for method in methods])
             cells |= {(milestone, task, method): cell for method, cell in zip(methods, row, strict=True) if cell}
-    return Runs(plain(block.group), block.algorithm, block.domain, methods, tasks, block.milestones, chosen, cells)
+    references = {task: block.references[task] for task in tasks if task in block.references}
+    return Runs(plain(block.group), block.algorithm, block.domain, methods, tasks, block.milestones, chosen, cells, references)
 
 
 def _by_task(runs: Runs, method: str) -> dict[str, Sequence[Record]]:
@@ -108,20 +113,23 @@ def _heading(milestone: int) -> str:
 
 
 def _returns(runs: Runs) -> Grid:
-    known = bool(known_tasks(runs.domain))
+    scales = scales_of(runs.domain, runs.references)
+    known = bool(scales.tasks)
     parts = []
     for milestone in runs.milestones:
         lines = []
         for method in runs.methods:
             entries = [of_cell(runs.cells.get((milestone, task, method)), runs.records.get((method, task), ())) for task in runs.tasks]
             if known:
-                entries.append(score_entry(_by_task(runs, method), runs.domain, milestone))
+                entries.append(score_entry(_by_task(runs, method), scales, milestone))
             lines.append(Line((method,), tuple(entries)))
+        lines += reference_lines(runs.references, runs.tasks, int(known))
         parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     return Grid(
         name="returns",
         title="Returns",
-        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {SCORE_TEXT}' if known else ''}",
+        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {scales.text}' if known else ''}"
+        f"{references_caption(runs.references, runs.tasks)}",
         split="milestone",
         head=("method",),
         columns=(*map(Column, runs.tasks), *([Column(SCORE, 3)] if known else [])),
@@ -143,6 +151,8 @@ def _relative(runs: Runs) -> Grid | None:
             if tasks:
                 entries.append(_ratio(runs, method, tasks, milestone))
             lines.append(Line((method,), tuple(entries)))
+        if runs.references:
+            lines += _ends_relative(runs, milestone, [*((task,) for task in runs.tasks), *([tasks] if tasks else [])])
         parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     return Grid("relative", "Relative to CUDC", _RELATIVE, "milestone", ("method",), columns, tuple(parts))
 
@@ -156,6 +166,23 @@ def _ratio(runs: Runs, method: str, tasks: Sequence[str], milestone: int) -> Ent
     interval = statistics.relative_interval(above, below)
     records = (*of_seeds(ours, tasks, seeds), *of_seeds(cudc, tasks, cudc_seeds))
     return Entry(value, None, interval, min(len(seeds), len(cudc_seeds)), False, records)
+
+
+def _ends_relative(runs: Runs, milestone: int, columns: Sequence[Sequence[str]]) -> list[Line]:
+    """Floor and ceiling as a share of CUDC's score, the mean over the tasks of each column."""
+    cudc = _by_task(runs, "cudc")
+    lines = []
+    for name, label in LABELS.items():
+        entries: list[Entry | None] = []
+        for tasks in columns:
+            seeds, below = score_matrix(cudc, tasks, milestone)
+            value = None
+            if seeds and all(task in runs.references for task in tasks):
+                ends = [getattr(runs.references[task], name) for task in tasks]
+                value = statistics.relative(np.array([ends], np.float64), below)
+            entries.append(None if value is None else Entry(value))
+        lines.append(Line((label,), tuple(entries)))
+    return lines
 
 
 def _beside(runs: Runs, plan: Plan) -> list[Grid]:
