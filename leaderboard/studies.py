@@ -15,6 +15,7 @@ from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from . import statistics
+from .components import build_components
 from .figures import draw_bars, draw_curves
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .learners import build_learners
@@ -48,10 +49,11 @@ def build_studies(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[S
         overall: as ``build_overall`` makes them of the same records.
 
     Returns:
-        By domain, algorithm and group in the order of :data:`~.plans.PLANS`; then those of dataset sizes; then those of learners.
+        By domain, algorithm and group in the order of :data:`~.plans.PLANS`; then those of dataset sizes, of learners, and of variance
+        between datasets and between trainings.
     """
     found = [study for block in blocks for plan in PLANS if (study := _of_plan(block, plan)) is not None]
-    return [*found, *build_sizes(blocks), *build_learners(blocks, overall)]
+    return [*found, *build_sizes(blocks), *build_learners(blocks, overall), *build_components(blocks)]
 
 
 def _of_plan(block: Block, plan: Plan) -> Study | None:
