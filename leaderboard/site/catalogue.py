@@ -172,11 +172,11 @@ class Catalogue(Parts):
             table = self.table_of[id(record)]
             link = runs_path(table, record.dataset.task, column(record))
             lines.append(Line(Item(record.dataset.task, link=link), (
-                Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), number(record.final.mean),
+                Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), number(record.conclusion.mean),
                 Item(f"{record.seconds:,.0f}", record.seconds), Item(f"{version(record, 'cudc-bench')}, {commit(record)}"),
                 Item(machine_text(record) or MISSING),
             )))  # fmt: skip
-        columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final mean"),
+        columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
         return Exhibit("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
 
