@@ -29,6 +29,7 @@ METHODS = (
     "cudc-no-reach", "cudc-literal", "apt-k6",
 )  # fmt: skip
 SEEDS = range(1, 11)
+VALUES = {"width": 1024, "final_evaluations": EvaluateConfig().final_evaluations}
 
 
 def make_records(results: Path, count: int) -> None:
@@ -55,7 +56,8 @@ def _record(draw: np.random.Generator, algorithm: str, method: str, seed: int, d
     shape = (len(steps), loop.evaluation_episodes)
     means = score * (1 - np.exp(-steps / loop.milestones[0]))
     returns = np.clip(means[:, None] + draw.normal(0, 0.03, shape), 0, 1) * largest
-    final = np.clip(means[-1] + draw.normal(0, 0.03, loop.final_episodes), 0, 1) * largest
+    finals = np.clip(means[-1] + draw.normal(0, 0.03, (loop.final_evaluations, loop.final_episodes)), 0, 1) * largest
+    late = zip(loop.final_points, finals, strict=True)
     metrics = draw.normal(0, 1, (len(steps) - 1, 5))
     names = ("critic_loss", "actor_loss", "q_mean", "target_mean", "reward_mean")
     return {
@@ -64,10 +66,11 @@ def _record(draw: np.random.Generator, algorithm: str, method: str, seed: int, d
             "id": f"{domain}/{task}/{method}-seed{seed}-v0", "fingerprint": "0" * 64, "domain": domain, "task": task, "method": method,
             "seed": seed, "steps": 1_000_000, "profile": "paper",
         },
-        "algorithm": algorithm, "profile": "paper", "seed": seed, "hyperparameters": {"width": 1024},
-        "hyperparameters_hash": config_hash({"width": 1024}), "milestones": list(loop.milestones),
+        "algorithm": algorithm, "profile": "paper", "seed": seed, "hyperparameters": VALUES,
+        "hyperparameters_hash": config_hash(VALUES), "milestones": list(loop.milestones),
         "curve": [{"step": int(step), "returns": row.tolist()} for step, row in zip(steps, returns, strict=True)],
-        "final": {"step": loop.gradient_steps, "returns": final.tolist()},
+        "late": [{"step": step, "returns": row.tolist()} for step, row in list(late)[:-1]],
+        "final": {"step": loop.gradient_steps, "returns": finals[-1].tolist()},
         "metrics": [
             {"step": int(step), "values": dict(zip(names, row.tolist(), strict=True))} for step, row in zip(steps[1:], metrics, strict=True)
         ],

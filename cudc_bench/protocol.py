@@ -21,7 +21,9 @@ class EvaluateConfig:
         gradient_steps: updates in all.
         evaluate_every: updates between two evaluations; there is one before the first update and one after the last, too.
         evaluation_episodes: episodes of each evaluation, with the deterministic policy.
-        final_episodes: episodes of a further evaluation after the last update, which tables use for the last milestone.
+        final_episodes: episodes of each of the further, larger evaluations at the end of the training.
+        final_evaluations: how many of these there are, at the last evaluation points, the last of them after the last update; as many as
+            there are points where those after the first update are fewer. Tables use their mean for the last milestone.
         milestones: gradient steps whose scores go into tables; "computational efficiency" and "learning performance" in the paper.
         precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
     """
@@ -31,7 +33,27 @@ class EvaluateConfig:
     evaluation_episodes: PositiveInt = 10
     final_episodes: PositiveInt = 50
     milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
+    final_evaluations: PositiveInt = 3
     precision: Precision = field(default="float32", metadata=LATER)
+
+    @property
+    def points(self) -> list[int]:
+        """The gradient steps after which the policy is evaluated, in their order, from 0 to the last."""
+        return [*range(0, self.gradient_steps, self.evaluate_every), self.gradient_steps]
+
+    @property
+    def final_points(self) -> list[int]:
+        """Those of the larger evaluations."""
+        return self.points[1:][-self.final_evaluations :]
+
+
+# What runs did whose records do not say so: they were made before it could be set, and the default is another now.
+BEFORE: Mapping[str, Any] = {"final_evaluations": 1}
+
+
+def in_full(hyperparameters: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's hyperparameters, and with them what its run did without their saying so."""
+    return {**BEFORE, **hyperparameters}
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from pydantic import (
 from cudc_bench.errors import RunError
 from cudc_bench.files import check_regular, unwritable, write_atomically
 from cudc_bench.manifest import RewardFunction, Source
+from cudc_bench.protocol import BEFORE
 
 SCHEMA_VERSION = 1
 REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.references``
@@ -127,6 +128,8 @@ class Record(Strict):
         milestones: gradient steps whose scores go into tables.
         curve: evaluations in the order of their steps; the first at 0, the last after the last step.
         final: a further, larger evaluation after the last step.
+        late: the same at the evaluation points shortly before, in the order of their steps. A file without it is of a run that had none, as
+            all runs once had.
         metrics: training metrics at the evaluations.
         seconds: wall time of the whole member's run.
         versions: of Python and the packages that matter.
@@ -149,6 +152,7 @@ class Record(Strict):
     milestones: Annotated[list[int], Field(min_length=1)]
     curve: Annotated[list[Evaluation], Field(min_length=1)]
     final: Evaluation
+    late: list[Evaluation] = []
     metrics: list[TrainingMetrics] = []
     seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     versions: dict[str, str]
@@ -162,8 +166,9 @@ class Record(Strict):
     @model_serializer(mode="wrap")
     def _without_empty(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         values: dict[str, Any] = serialise(self)
-        if self.submission is None:
-            del values["submission"]
+        for name in ("submission", "late"):
+            if not values[name]:
+                del values[name]
         return values
 
     @model_validator(mode="after")
@@ -173,6 +178,9 @@ class Record(Strict):
             raise ValueError("the evaluations of 'curve' are not in the order of their steps")
         if self.final.step != steps[-1]:
             raise ValueError("'final' was not taken after the last step of 'curve'")
+        late = [evaluation.step for evaluation in self.late]
+        if late and late != steps[-1 - len(late) : -1]:
+            raise ValueError("'late' was not taken at the last evaluations of 'curve' before 'final'")
         return self
 
     @property
@@ -198,19 +206,42 @@ class Record(Strict):
             changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
         if used is not None:
             changes.append(f"first {used:,} transitions")
-        for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.overrides)):
+        for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.settings)):
             if overrides:
                 changes.append(f"{stage}: {settings_text(overrides)}")
         return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
 
-    def score(self, milestone: int) -> float | None:
-        """The mean return at a milestone, or None if nothing was evaluated there.
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What differs from the profile as it is now: ``overrides``, and what the run did that was nobody's choice when it was made."""
+        return {name: value for name, value in BEFORE.items() if name not in self.hyperparameters} | self.overrides
 
-        After the last step this is the larger final evaluation's.
-        """
+    @property
+    def again(self) -> str:
+        """The command that makes this record again with this version; ``command`` does so with the one that made it."""
+        unsaid = [f"--set {name}={value}" for name, value in BEFORE.items() if name not in self.hyperparameters]
+        return " ".join([self.command, *unsaid])
+
+    @property
+    def finals(self) -> list[Evaluation]:
+        """The larger evaluations at the end of the training, whose mean is the score after the last step; ``final`` is the last alone."""
+        return [*self.late, self.final]
+
+    @property
+    def conclusion(self) -> Evaluation:
+        """All episodes of the larger evaluations together."""
+        return Evaluation(step=self.final.step, returns=[value for evaluation in self.finals for value in evaluation.returns])
+
+    def evaluation(self, milestone: int) -> Evaluation | None:
+        """The episodes behind the score at a milestone, if there are any: after the last step those of the larger evaluations."""
         if milestone == self.final.step:
-            return self.final.mean
-        return next((evaluation.mean for evaluation in self.curve if evaluation.step == milestone), None)
+            return self.conclusion
+        return next((evaluation for evaluation in self.curve if evaluation.step == milestone), None)
+
+    def score(self, milestone: int) -> float | None:
+        """The mean return at a milestone (see :meth:`evaluation`), or None if nothing was evaluated there."""
+        found = self.evaluation(milestone)
+        return None if found is None else found.mean
 
 
 def settings_text(overrides: Mapping[str, Any]) -> str:

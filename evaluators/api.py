@@ -30,7 +30,7 @@ from cudc_bench.options import CHECKPOINT_EVERY, LOG_DIR, check_folder, check_se
 from cudc_bench.parallel import Job, run_jobs, worker_count
 from cudc_bench.profiles import Profile, resolve_device, resolve_profile
 from cudc_bench.progress import Advance, say
-from cudc_bench.protocol import EvaluateConfig, check_milestones, plain_values, profile_values
+from cudc_bench.protocol import EvaluateConfig, check_milestones, in_full, plain_values, profile_values
 from cudc_bench.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.records import (
     DatasetReference,
@@ -439,7 +439,7 @@ def _is_recorded(path: Path, plan: Plan, used: int | None, is_same: Callable[[Da
         record = read_record(path)
     except RunError as error:
         raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
-    if (record.hyperparameters_hash, record.dataset.used) == (config_hash(plan.values), used) and is_same(record.dataset):
+    if (in_full(record.hyperparameters), record.dataset.used) == (plan.values, used) and is_same(record.dataset):
         return True
     raise UsageError(f"{path} records another run (other data or settings); use --overwrite or another --output.")
 
@@ -506,6 +506,7 @@ def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
         options["--reward"] = manifest.reward.reference
     if run.used is not None:
         options["--dataset-size"] = str(run.used)
+    finals = [Evaluation(step=step, returns=returns) for step, returns in outcome.finals]
     return Record(
         dataset=DatasetReference(
             id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
@@ -520,7 +521,8 @@ def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
         hyperparameters_hash=config_hash(values),
         milestones=list(plan.loop.milestones),
         curve=[Evaluation(step=step, returns=returns) for step, returns in outcome.curve],
-        final=Evaluation(step=plan.loop.gradient_steps, returns=outcome.final),
+        final=finals[-1],
+        late=finals[:-1],
         metrics=[TrainingMetrics(step=step, values=row) for step, row in outcome.metrics],
         seconds=seconds,
         versions=versions(),

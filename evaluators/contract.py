@@ -214,7 +214,7 @@ class EvaluatorContract:
         for outcome in outcomes:
             assert [step for step, _ in outcome.curve] == [0, 10, 20, 25]
             assert all(len(returns) == 2 for _, returns in outcome.curve)
-            assert len(outcome.final) == 3
+            assert [(step, len(returns)) for step, returns in outcome.finals] == [(10, 3), (20, 3), (25, 3)]
             assert [step for step, _ in outcome.metrics] == [10, 20, 25]
         # Standing is part of walking: at the same states the walk's reward is never larger.
         assert outcomes[0].curve != outcomes[1].curve

@@ -27,7 +27,7 @@ from cudc_bench.seeding import episode_seed
 
 from .base import Evaluator
 
-FINAL = "final evaluation"  # the purpose of the seeds of its episodes
+FINAL = "final evaluation"  # the purpose of the seeds of the larger ones' episodes
 _TELL_EVERY = 100  # gradient steps
 
 
@@ -37,12 +37,12 @@ class Outcome:
 
     Attributes:
         curve: (gradient step, undiscounted return of each episode) at every evaluation.
-        final: returns of the final evaluation's episodes.
+        finals: the same at the larger evaluations at the end.
         metrics: (gradient step, {metric: value}) at every evaluation after the first.
     """
 
     curve: list[tuple[int, list[float]]]
-    final: list[float]
+    finals: list[tuple[int, list[float]]]
     metrics: list[tuple[int, dict[str, float]]]
 
 
@@ -66,6 +66,11 @@ class Ledger:
         """The step of the last evaluation of the curve; -1 before the first."""
         return self.outcomes[0].curve[-1][0] if self.outcomes[0].curve else -1
 
+    @property
+    def concluded(self) -> int:
+        """The step of the last larger evaluation; -1 before the first."""
+        return self.outcomes[0].finals[-1][0] if self.outcomes[0].finals else -1
+
     def add_returns(self, step: int, returns: Float64) -> None:
         """Returns (E, n) of an evaluation of the curve."""
         for outcome, row in zip(self.outcomes, returns, strict=True):
@@ -79,9 +84,9 @@ class Ledger:
         self._log(step, rows)
 
     def add_final(self, step: int, returns: Float64) -> None:
-        """Returns (E, n) of the final evaluation."""
+        """Returns (E, n) of a larger evaluation."""
         for outcome, row in zip(self.outcomes, returns, strict=True):
-            outcome.final.extend(row.tolist())
+            outcome.finals.append((step, row.tolist()))
         self._log(step, ({"final_return_mean": float(row.mean())} for row in returns))
 
     def _log(self, step: int, rows: Iterable[Mapping[str, float]]) -> None:
@@ -90,14 +95,18 @@ class Ledger:
 
     def state_dict(self) -> list[Any]:
         """All so far."""
-        return [[list(outcome.curve), list(outcome.final), list(outcome.metrics)] for outcome in self.outcomes]
+        return [[list(outcome.curve), list(outcome.finals), list(outcome.metrics)] for outcome in self.outcomes]
 
     def load_state_dict(self, state: list[Any]) -> None:
         """Go back to where ``state_dict`` was called; the logs hear of it all."""
         self.outcomes = [Outcome(*parts) for parts in state]
         for outcome, one in zip(self.outcomes, self._logs, strict=False):
             measured = [(step, values) for step, values in outcome.metrics]
-            scored = [(step, {"return_mean": sum(returns) / len(returns)}) for step, returns in outcome.curve]
+            scored = [
+                (step, {name: sum(returns) / len(returns)})
+                for name, evaluations in (("return_mean", outcome.curve), ("final_return_mean", outcome.finals))
+                for step, returns in evaluations
+            ]
             for step, values in sorted([*measured, *scored], key=lambda row: row[0]):
                 one.add(step, values)
 
@@ -214,6 +223,8 @@ def run_evaluation(
 ) -> list[Outcome]:  # fmt: skip
     """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
 
+    The last few of these evaluations have a larger one beside them, of other episodes.
+
     Args:
         agent: E members.
         data: episodes with a reward (E, steps) for each member.
@@ -237,6 +248,7 @@ def run_evaluation(
         graphs_for(agent, agent.device),
     )
     ledger = Ledger(len(agent.seeds), logs)
+    points, final_points = set(config.points), set(config.final_points)
 
     def restore(_: int, state: dict[str, Any]) -> None:
         agent.load_state_dict(state["agent"])
@@ -253,8 +265,10 @@ def run_evaluation(
     try:
         for step in range(start, config.gradient_steps + 1):
             last = step == config.gradient_steps
-            if (step % config.evaluate_every == 0 or last) and ledger.evaluated < step:
+            if step in points and ledger.evaluated < step:
                 ledger.add_returns(step, arena.evaluate(agent, agent.seeds, "evaluation", step, config.evaluation_episodes))
+            if step in final_points and ledger.concluded < step:
+                ledger.add_final(step, arena.evaluate(agent, agent.seeds, FINAL, step, config.final_episodes))
             if checkpoints is not None and checkpoints.due():
                 checkpoints.save(step, state())
             if interrupts.requested():
@@ -268,7 +282,6 @@ def run_evaluation(
             if step + 1 - told >= _TELL_EVERY or step + 1 == config.gradient_steps:
                 advance(step + 1 - told)
                 told = step + 1
-        ledger.add_final(step, arena.evaluate(agent, agent.seeds, FINAL, step, config.final_episodes))
     except interrupts.Interrupted:
         # Raised between two updates, or in the middle of an evaluation, which leaves no trace: the state is that after ``step`` updates.
         if checkpoints is not None:

@@ -192,4 +192,4 @@ def _other_version(record: Record) -> str:
 
 def _again(record: Record) -> str:
     # The record may be anybody's, and people copy what follows.
-    return f"train it again with: {record.command}" if is_own_command(record.command) else "train it again"
+    return f"train it again with: {record.again}" if is_own_command(record.command) else "train it again"

@@ -325,7 +325,7 @@ def _run(seed: int, outcome: Outcome, random: list[float], untrained: list[float
         random=random,
         untrained=untrained,
         curve=[Evaluation(step=step, returns=returns) for step, returns in outcome.curve],
-        final=Evaluation(step=outcome.curve[-1][0], returns=outcome.final),
+        final=Evaluation(step=outcome.finals[0][0], returns=outcome.finals[0][1]),
         metrics=[TrainingMetrics(step=step, values=row) for step, row in outcome.metrics],
     )
 

@@ -87,7 +87,7 @@ def draw_curves(runs: Runs) -> Figure:
     """Return over gradient steps for each task that has records.
 
     A line is the mean over collector seeds with a band of ± one sample standard deviation; a single seed is a thin line. Vertical
-    dotted lines mark the milestones. The value after the last step is that of the final, larger evaluation, as in tables.
+    dotted lines mark the milestones. The value after the last step is the mean of the larger evaluations at the end, as in tables.
     """
     what = f"{seeds_text(runs.seeds)}, dotted: milestones"
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}: {what}"

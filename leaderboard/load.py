@@ -17,7 +17,7 @@ from cudc_bench.errors import RunError
 from cudc_bench.markup import plain
 from cudc_bench.progress import bar_if_long
 from cudc_bench.provenance import is_own_command
-from cudc_bench.records import Evaluation, Record, parse_record, read_content, record_files
+from cudc_bench.records import Record, parse_record, read_content, record_files
 
 from .plans import canonical
 
@@ -137,17 +137,10 @@ def to_frame(records: Iterable[Record]) -> pd.DataFrame:
         }
         for record in records
         for milestone in sorted(set(record.milestones))
-        for evaluation in [evaluation_at(record, milestone)]
+        for evaluation in [record.evaluation(milestone)]
     ]
     columns = ["group", "algorithm", "domain", "task", "method", "dataset_seed", "seed", "milestone", "score", "episodes"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def evaluation_at(record: Record, step: int) -> Evaluation | None:
-    """The evaluation behind ``record.score(step)``: after the last step the larger, final one."""
-    if step == record.final.step:
-        return record.final
-    return next((evaluation for evaluation in record.curve if evaluation.step == step), None)
 
 
 def column(record: Record) -> str:
@@ -202,7 +195,7 @@ def impossible(record: Record) -> str | None:
     """Why a record that fits the schema cannot be a result, since records come from others too; None if it can."""
     domain = DOMAINS.get(record.dataset.domain)
     limit = domain.max_return if domain and record.dataset.task in domain.tasks else _LARGEST
-    largest = max(abs(value) for evaluation in (*record.curve, record.final) for value in evaluation.returns)
+    largest = max(abs(value) for evaluation in (*record.curve, *record.finals) for value in evaluation.returns)
     steps = (*record.milestones, record.final.step)
     if largest > limit * (1 + 1e-6):
         return f"a return of {largest:g} is impossible, the limit is {limit:g}."

@@ -138,4 +138,4 @@ def _command(like: Record, domain: str, method: str, tasks: Sequence[str], seeds
     }  # fmt: skip
     if used is not None:
         options["--dataset-size"] = str(used)
-    return command_line("evaluate", options, like.overrides)
+    return command_line("evaluate", options, like.settings)

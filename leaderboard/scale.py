@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.protocol import in_full
 from cudc_bench.records import Record
 from cudc_bench.references import Bounds
 
@@ -19,6 +20,8 @@ References = Mapping[str, Bounds]
 FLOOR, CEILING = "floor", "ceiling"
 MEANING = {FLOOR: "random actions", CEILING: "TD3 trained online"}
 LABELS = {name: f"{name} ({text})" for name, text in MEANING.items()}  # where a method's name could stand
+# Settings of a training that say how its policies are evaluated.
+_EVALUATION = {"evaluate_every", "evaluation_episodes", "final_episodes", "final_evaluations", "milestones"}
 BETWEEN = "returns between each task's floor (random actions, 0) and ceiling (TD3 trained online on the task, 1)"
 OF_LARGEST = "returns divided by each task's largest possible one"
 
@@ -63,11 +66,14 @@ def largest_return(domain: str, task: str) -> float | None:
 def serving(references: Mapping[tuple[str, str, str], Bounds], record: Record) -> dict[str, Bounds]:
     """The references by which a record's group may be measured, by task.
 
-    A reference belongs to one profile: to its length of collection, which the online training has too, and to its evaluations. A group
-    whose name says more than the profile (other settings of the collection or the training, a part of a dataset, a reward of one's own) has
-    none. Columns of imported datasets, whose names say their size, are measured by what their table is measured by.
+    A reference belongs to one profile: to its length of collection, which the online training has too. A group whose name says more than
+    the profile (other settings of the collection or the training, a part of a dataset, a reward of one's own) has none, unless it says
+    only how often policies were evaluated, which changes no score but by chance. Columns of imported datasets, whose names say their size,
+    are measured by what their table is measured by.
     """
-    if record.group != record.profile:
+    trained = {name: value for name, value in record.overrides.items() if name not in _EVALUATION}
+    alike = record.model_copy(update={"overrides": trained, "hyperparameters": in_full(record.hyperparameters)})
+    if alike.group != record.profile:
         return {}
     return {task: bounds for (profile, domain, task), bounds in references.items()
             if (profile, domain) == (record.profile, record.dataset.domain)}  # fmt: skip

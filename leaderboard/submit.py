@@ -29,7 +29,7 @@ from cudc_bench.ids import parse_id
 from cudc_bench.manifest import IMPORTED_PROFILE
 from cudc_bench.markup import plain
 from cudc_bench.profiles import PAPER_STEPS, PROFILES, Profile
-from cudc_bench.protocol import EvaluateConfig, check_milestones, plain_values
+from cudc_bench.protocol import EvaluateConfig, check_milestones, in_full, plain_values
 from cudc_bench.provenance import knows_commit
 from cudc_bench.records import Record, Submission, parse_record, read_content, record_path, settings_text, to_json
 
@@ -185,11 +185,11 @@ def _contradictions(record: Record) -> Iterator[str]:
         return
     profile = PROFILES[record.profile]
     try:
-        lacking = [name for name in as_dict(EvaluateConfig()) if name not in record.hyperparameters]
+        lacking = [name for name in as_dict(EvaluateConfig()) if name not in in_full(record.hyperparameters)]
         if lacking:
             yield f"its hyperparameters lack {', '.join(lacking)}."
             return
-        loop = build(EvaluateConfig, record.hyperparameters)
+        loop = build(EvaluateConfig, in_full(record.hyperparameters))
         check_milestones(loop)
         yield from _about_settings(record, profile, loop)
     except UsageError as error:
@@ -208,7 +208,7 @@ def _about_data(record: Record) -> Iterator[str]:
     except CudcBenchError as error:
         yield str(error)
     else:
-        lowest = min(value for evaluation in (*record.curve, record.final) for value in evaluation.returns)
+        lowest = min(value for evaluation in (*record.curve, *record.finals) for value in evaluation.returns)
         if data.reward is None and lowest < 0:
             yield f"a return of {lowest:g} is impossible: no reward of {data.domain} is negative."
     if data.source is not None and (data.profile != IMPORTED_PROFILE or data.overrides):
@@ -274,8 +274,11 @@ def _about_evaluations(record: Record, loop: EvaluateConfig) -> Iterator[str]:
     episodes = sorted({len(evaluation.returns) for evaluation in record.curve})
     if episodes != [loop.evaluation_episodes]:
         yield f"evaluations of its curve have {_listed(episodes)} episodes, and by its hyperparameters {loop.evaluation_episodes:,}."
-    if len(record.final.returns) != loop.final_episodes:
-        yield f"its final evaluation has {len(record.final.returns):,} episodes, and by its hyperparameters {loop.final_episodes:,}."
+    wanted, there = min(loop.final_evaluations, count - 1), len(record.finals)
+    if there != wanted:
+        yield f"it has {there:,} larger evaluations at its end, and by its hyperparameters {wanted:,}."
+    for size in sorted({len(evaluation.returns) for evaluation in record.finals} - {loop.final_episodes}):
+        yield f"a larger evaluation at its end has {size:,} episodes, and by its hyperparameters {loop.final_episodes:,}."
 
 
 def _listed(numbers: Iterable[int]) -> str:
@@ -290,10 +293,10 @@ def _remarks(record: Record) -> Iterator[str]:
     yield f"made with {plain(made)}, cudc-bench {plain(record.versions.get('cudc-bench', 'unknown'))}."
     if record.group != record.profile:
         yield f"a table of its own: {plain(record.group)}."
-    usual = _usual(record.algorithm, PROFILES[record.profile], build(EvaluateConfig, record.hyperparameters))
+    usual = _usual(record.algorithm, PROFILES[record.profile], build(EvaluateConfig, in_full(record.hyperparameters)))
     if record.algorithm not in plugins.names("evaluators"):
         yield f"the algorithm {record.algorithm} is not installed here; of its settings only those that all algorithms share were checked."
-    elif lacking := sorted(usual.keys() - record.hyperparameters.keys()):
+    elif lacking := sorted(usual.keys() - in_full(record.hyperparameters).keys()):
         yield f"{record.algorithm} has hyperparameters here that it lacks: {', '.join(lacking)}."
     if record.dataset.source is None and record.dataset.method not in plugins.names("collectors"):
         yield f"the method {record.dataset.method} is not installed here; nobody can collect its dataset again from here."
@@ -339,7 +342,7 @@ class _Seen:
     def add(self, path: Path, record: Record) -> tuple[str | None, str | None, str | None]:
         """See one, and say which one before it has its very returns, its fingerprint for other data, or is the same run."""
         about = f"{path} ({_described(record)})"
-        returns = [value for evaluation in (*record.curve, record.final) for value in evaluation.returns]
+        returns = [value for evaluation in (*record.curve, *record.finals) for value in evaluation.returns]
         copied = None
         if len(set(returns)) >= _TELLING:
             copied = self._returns.setdefault(hashlib.sha256(repr(returns).encode()).hexdigest(), about)

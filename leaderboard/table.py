@@ -18,10 +18,11 @@ from typing import Any
 
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.ids import domain_slug
+from cudc_bench.protocol import in_full
 from cudc_bench.records import Record
 from cudc_bench.references import Bounds
 
-from .load import column, evaluation_at, extent, plain, short, submitted_columns
+from .load import column, extent, plain, short, submitted_columns
 from .plans import STUDY_METHODS, canonical
 from .scale import CEILING, FLOOR, References, references_caption, serving
 from .statistics import SIGNIFICANCE, holm
@@ -302,7 +303,7 @@ def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
 
 def commands(records: Iterable[Record]) -> list[str]:
     """The commands that make records again, without repeats."""
-    return sorted({plain(record.command) for record in records})
+    return sorted({plain(record.again) for record in records})
 
 
 def seed_scores(records: Iterable[Record], step: int) -> list[float]:
@@ -357,7 +358,7 @@ def _doubts(records: Sequence[Record]) -> list[str]:
         for milestone in _milestones(record)
         if record.score(milestone) is None
     ]
-    if names := differing([record.hyperparameters for record in records]):
+    if names := differing([in_full(record.hyperparameters) for record in records]):
         problems.append(plain(f"its records were trained with different hyperparameters: {', '.join(names)}."))
     return problems
 
@@ -383,7 +384,7 @@ def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
     for milestone in block.milestones:
         cells = [[build_cell(own.get((name, task), ()), milestone) for name in methods] for task in tasks]
         rows = [Row(task, mark_best(row) if marked else tuple(row)) for task, row in zip(tasks, cells, strict=True)]
-        evaluations = [evaluation_at(record, milestone) for record in records]
+        evaluations = [record.evaluation(milestone) for record in records]
         episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
         sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
     shown = {task: block.references[task] for task in tasks if task in block.references}

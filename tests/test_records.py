@@ -53,6 +53,9 @@ def records(draw: st.DrawFn) -> Record:
     )  # fmt: skip
 
 
+VALUES = {"width": 16, "final_evaluations": 2}
+
+
 def example(**changes: Any) -> dict[str, Any]:
     """A record as JSON has it."""
     return {
@@ -61,7 +64,7 @@ def example(**changes: Any) -> dict[str, Any]:
             "id": "walker/walk/cudc-v0", "fingerprint": "a" * 64, "domain": "walker", "task": "walk", "method": "cudc", "seed": 1,
             "steps": 1000, "profile": "cpu", "overrides": {}, "reward": None, "source": None, "used": None,
         },
-        "algorithm": "td3", "profile": "cpu", "overrides": {}, "seed": 1, "hyperparameters": {"width": 16}, "hyperparameters_hash": "0",
+        "algorithm": "td3", "profile": "cpu", "overrides": {}, "seed": 1, "hyperparameters": VALUES, "hyperparameters_hash": "0",
         "milestones": [10, 20],
         "curve": [{"step": 0, "returns": [1.0, 2.0]}, {"step": 10, "returns": [3.0, 5.0]}, {"step": 20, "returns": [7.0]}],
         "final": {"step": 20, "returns": [9.0, 11.0]}, "metrics": [{"step": 20, "values": {"loss": 0.5}}], "seconds": 1.5, "versions": {},
@@ -96,6 +99,18 @@ def test_the_example_is_valid_and_its_scores_are_means(tmp_path: Path) -> None:
     record = Record.model_validate(example())
     assert json.loads(record.model_dump_json()) == example()
     assert [record.score(step) for step in (0, 10, 20, 15)] == [1.5, 4.0, 10.0, None]
+    # Those of the larger evaluations at the end count together, whatever was measured on the way there; the last alone is kept apart.
+    several = example(late=[{"step": 10, "returns": [2.0, 6.0]}])
+    record = Record.model_validate(several)
+    assert json.loads(record.model_dump_json()) == several
+    assert [record.score(step) for step in (0, 10, 20, 15)] == [1.5, 4.0, 7.0, None]
+    assert (record.final.mean, record.conclusion.returns) == (10.0, [2.0, 6.0, 9.0, 11.0])
+
+
+@pytest.mark.parametrize("steps", [[0], [20], [10, 20], [10, 0], [0, 5], [-1, 0, 10], [10, 10]])
+def test_late_evaluations_are_the_last_of_the_curve_before_the_final_one(steps: list[int], tmp_path: Path) -> None:
+    assert Record.model_validate(example(late=[{"step": step, "returns": [0.0]} for step in (0, 10)])).late[1].step == 10
+    assert "'late'" in refused(json.dumps(example(late=[{"step": step, "returns": [0.0]} for step in steps])).replace("-1", "0"), tmp_path)
 
 
 @pytest.mark.parametrize("where", [(), ("dataset",), ("curve", 1), ("final",), ("metrics", 0)], ids=str)
@@ -271,6 +286,12 @@ def test_records_share_a_group_only_if_profiles_and_overrides_are_the_same() -> 
 def test_a_group_is_the_profile_and_what_differs_from_it() -> None:
     dataset = example()["dataset"]
     assert Record.model_validate(example()).group == "cpu"
+    # A record that does not say how often it was evaluated at its end is from when that could not be set, and is not taken for a later one.
+    before = Record.model_validate(example(hyperparameters={"width": 16}))
+    assert before.group == "cpu (evaluate: final_evaluations=1)"
+    assert before.again == "cudc-bench evaluate --set final_evaluations=1"
+    chosen = example(hyperparameters={"width": 16, "final_evaluations": 1}, overrides={"final_evaluations": 1})
+    assert Record.model_validate(chosen).group == before.group
     assert Record.model_validate(example(dataset=dataset | {"overrides": {"steps": 100_000}})).group == "cpu (collect: steps=100000)"
     both = example(dataset=dataset | {"profile": "paper", "overrides": {"k_max": 8, "alpha": 0.1}}, overrides={"width": 64})
     assert Record.model_validate(both).group == "cpu (collected at paper; collect: alpha=0.1, k_max=8; evaluate: width=64)"

@@ -51,6 +51,7 @@ def test_the_readmes_tables_are_those_of_the_records(report: Report, section: st
     (overall,) = report.overall
     returns = [line.replace(" (5)", "") for line in to_markdown(table).splitlines() if line.startswith("|")]
     assert shown == [*returns, *standings(overall.headline)]
+    assert f'"{table.group}"' in section
     assert not report.problems
     assert not report.missing
 

@@ -176,8 +176,8 @@ class Catalogue(Parts):
     def _final(self, table: Table, record: Record) -> Item:
         """The mean of a run's last evaluation, with its score where the task has a reference."""
         bounds = table.references.get(record.dataset.task)
-        score = "" if bounds is None else f"score {bounds.normalise(record.final.mean) + 0.0:.3f}"
-        return replace(number(record.final.mean), note=score)
+        score = "" if bounds is None else f"score {bounds.normalise(record.conclusion.mean) + 0.0:.3f}"
+        return replace(number(record.conclusion.mean), note=score)
 
     def _trained(self, dataset: Dataset) -> Exhibit:
         lines = []
@@ -189,7 +189,7 @@ class Catalogue(Parts):
                 Item(f"{record.seconds:,.0f}", record.seconds), Item(f"{version(record, 'cudc-bench')}, {commit(record)}"),
                 Item(machine_text(record) or MISSING),
             )))  # fmt: skip
-        columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final mean"),
+        columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
         return Exhibit("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.records import Record
 
-from ..load import evaluation_at, short
+from ..load import short
 from ..table import ENOUGH_SEEDS, Table, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
 from .parts import (
@@ -45,7 +45,7 @@ class Runs(Parts):
         for section in reversed(table.sections):
             lines = []
             for record in records:
-                found = evaluation_at(record, section.milestone)
+                found = record.evaluation(section.milestone)
                 dataset = self.site.dataset_of[id(record)]
                 numbers = [Item()] * 4
                 if found is not None:
@@ -76,12 +76,16 @@ class Runs(Parts):
             ("dataset", Item(record.dataset.id, link=dataset_path(dataset))),
             ("fingerprint", Item(record.dataset.fingerprint)),
             (
-                "final mean",
-                Item(f"{record.final.mean:.1f} after {short(record.final.step)} steps, {span([len(record.final.returns)], 'episode')}"),
+                "final score",
+                Item(
+                    f"{record.conclusion.mean:.1f} after {short(record.final.step)} steps,"
+                    f" {span([len(record.conclusion.returns)], 'episode')}"
+                    + (f"; {record.final.mean:.1f} in the last of {len(record.finals)} evaluations" if record.late else "")
+                ),
             ),
         ]
         for section in reversed(table.sections):
-            found = evaluation_at(record, section.milestone)
+            found = record.evaluation(section.milestone)
             if found is not None:
                 facts.append((f"returns at {short(section.milestone)}", Item(", ".join(f"{value:.1f}" for value in found.returns))))
         facts += [
@@ -94,4 +98,4 @@ class Runs(Parts):
         if place := self.site.place(record):
             facts.append(("record", Item(place)))
         return Exhibit(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
-                       code=(("Makes this record again", record.command),))  # fmt: skip
+                       code=(("Makes this record again", record.again),))  # fmt: skip

@@ -158,7 +158,7 @@ def test_it_is_evaluated_at_equal_distances_and_says_what_the_last_update_measur
     (outcome,) = run_online(make("td3", (1,), 2, 2), config, square, ["corner"], Arena(square, ["corner"]), lambda n: None)
     assert [step for step, _ in outcome.curve] == [0, 76, 153, 230]
     assert all(len(returns) == 2 for _, returns in outcome.curve)
-    assert len(outcome.final) == 3
+    assert [(step, len(returns)) for step, returns in outcome.finals] == [(230, 3)]
     # At 76 nothing had been learnt yet.
     assert [step for step, _ in outcome.metrics] == [153, 230]
     assert {"critic_loss", "actor_loss", "q"} <= set(outcome.metrics[0][1])
@@ -239,4 +239,4 @@ def test_td3_finds_a_corner_that_it_is_rewarded_for(square: Domain) -> None:
     (outcome,) = run_online(agent, config, square, ["corner"], Arena(square, ["corner"]), lambda n: None)
     # Straight there and then at rest it would get about 38 of 50; at rest in the middle 1.
     assert outcome.curve[0][1][0] < 5
-    assert outcome.final[0] > 20
+    assert outcome.finals[0][1][0] > 20

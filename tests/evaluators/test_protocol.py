@@ -161,9 +161,9 @@ def whole(tmp_path_factory):
     return run_in(tmp_path_factory.mktemp("whole"), make("td3", (3, 4)))
 
 
-@pytest.mark.parametrize("acts", [1500, 2500, 3500])
+@pytest.mark.parametrize("acts", [1500, 2500, 3500, 4500])
 def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole):
-    """Interrupted in the second evaluation, in the one after the last update, and in the final one."""
+    """Interrupted in the second evaluation, in the larger one beside it, in the one after the last update, and in the larger one then."""
     agent = make("td3", (3, 4))
     act, count = agent.act, [0]
 
@@ -174,7 +174,7 @@ def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole)
         return act(observation)
 
     agent.act = asking
-    with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts == 1500 else 20} of 20"):
+    with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts < 3000 else 20} of 20"):
         run_in(tmp_path, agent)
     assert run_in(tmp_path, make("td3", (3, 4))) == whole
 
@@ -201,6 +201,48 @@ def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatc
     ((_, record),) = evaluated(tmp_path, settings={"learning_rate": "0.002"}, fresh=True)
     assert record.hyperparameters["learning_rate"] == 0.002
     assert not folder.parents[4].exists()
+
+
+# The score at the end
+
+
+def test_the_score_at_the_end_is_the_mean_of_the_last_evaluation_points(smoke, tmp_path):
+    options = {"steps": 80, "settings": {"milestones": "[40,80]", "evaluate_every": "20"}}
+    ((_, record),) = evaluated(tmp_path, **options)
+    assert [evaluation.step for evaluation in record.curve] == [0, 20, 40, 60, 80]
+    assert [(one.step, len(one.returns)) for one in record.finals] == [(40, 2), (60, 2), (80, 2)]
+    assert record.score(80) == pytest.approx(np.mean([one.returns for one in record.finals]))
+    # The curve's own evaluations stay what they were, of other episodes.
+    assert record.score(40) == record.curve[2].mean
+    returns = [value for one in (*record.curve, *record.finals) for value in one.returns]
+    assert len(set(returns)) == len(returns)
+    report = cudc_bench.make_leaderboard(results(tmp_path), None)
+    (table,) = report.tables
+    assert [section.episodes for section in table.sections] == [(1, 1), (6, 6)]
+    (cell,) = [cell for cell in table.cells if cell.mean == pytest.approx(record.score(80))]
+    assert cell.n == 1
+    # The training is the same however often it is looked at, and so is what the last policy gets.
+    ((one, alone),) = evaluated(tmp_path / "alone", **options | {"settings": options["settings"] | {"final_evaluations": "1"}})
+    assert (alone.curve, alone.final, alone.metrics, alone.late) == (record.curve, record.final, record.metrics, [])
+    assert alone.overrides["final_evaluations"] == 1
+    # A record from before it could be set is the same run as one that sets it to what was done then, and another than one of today.
+    before = json.loads(one.read_text())
+    del before["hyperparameters"]["final_evaluations"], before["overrides"]["final_evaluations"]
+    one.write_text(json.dumps(before))
+    content = one.read_bytes()
+    evaluated(tmp_path / "alone", **options | {"settings": options["settings"] | {"final_evaluations": "1"}})
+    assert one.read_bytes() == content
+    with pytest.raises(UsageError, match="records another run"):
+        evaluated(tmp_path / "alone", **options)
+
+
+@pytest.mark.parametrize(
+    ("gradient_steps", "every", "wanted", "points"),
+    [(50, 5, 3, [40, 45, 50]), (50, 5, 1, [50]), (52, 5, 3, [45, 50, 52]), (10, 10, 3, [10]), (7, 10, 3, [7]), (20, 10, 3, [10, 20])],
+)
+def test_the_larger_evaluations_are_at_the_last_points_after_the_first_update(gradient_steps, every, wanted, points):
+    config = EvaluateConfig(gradient_steps=gradient_steps, evaluate_every=every, final_evaluations=wanted)
+    assert config.final_points == points
 
 
 # Policies

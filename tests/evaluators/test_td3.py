@@ -94,4 +94,4 @@ def test_beats_a_random_policy_on_walker_stand():
     config = EvaluateConfig(gradient_steps=2000, evaluate_every=2000, evaluation_episodes=1, final_episodes=8, milestones=(2000,))
     (outcome,) = run_evaluation(agent, data, config, Arena(DOMAINS["walker"], ["stand"]), lambda n: None)
     assert all(math.isfinite(value) for _, row in outcome.metrics for value in row.values())
-    assert np.mean(outcome.final) > 1.2 * random_return
+    assert np.mean(outcome.finals[-1][1]) > 1.2 * random_return

@@ -33,7 +33,7 @@ def _make_record(
         "method": method, "seed": seed, "steps": 400_000, "profile": changes.get("profile", "cpu"), **of_dataset,
     }  # fmt: skip
     record: dict[str, Any] = {
-        "algorithm": "td3", "profile": "cpu", "seed": 1, "hyperparameters": {"learning_rate": 1e-3},
+        "algorithm": "td3", "profile": "cpu", "seed": 1, "hyperparameters": {"learning_rate": 1e-3, "final_evaluations": 3},
         "hyperparameters_hash": "0" * 16, "milestones": [10_000, 20_000], "seconds": 1.0, "versions": {}, "machine": {},
         "command": f"cudc-bench evaluate --method {method} --seed {seed}", "created": "2026-11-22T10:00:00+00:00", **changes,
     }  # fmt: skip

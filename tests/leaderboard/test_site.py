@@ -174,7 +174,7 @@ def test_a_run_says_what_is_needed_to_make_it_again(pages):
     facts = {text_of(one[0]): text_of(one[1]) for one in run.iter("div") if one.find("dt") is not None}
     assert facts["dataset"] == "walker/walk/icm-seed2-v0"
     assert facts["record"] == "paper/walker/walk/icm-seed2-v0/td3-seed1.json"
-    assert facts["final mean"] == "480.0 after 500K steps, 2 episodes"
+    assert facts["final score"] == "480.0 after 500K steps, 2 episodes"
     assert (facts["returns at 500K"], facts["returns at 100K"]) == ("479.5, 480.5", "300.0, 300.0")
     assert facts["code"] == "cudc-bench 0.1.0, commit cccccccccccc"
     assert facts["machine"] == "A processor, cuda"

@@ -34,7 +34,8 @@ from .test_hostile_records import changed
 TASKS = ("stand", "walk", "run", "flip")
 # TD3 at the smoke profile, written out: what it is must not follow from the code under test.
 VALUES = {
-    "gradient_steps": 40, "evaluate_every": 20, "evaluation_episodes": 1, "final_episodes": 2, "milestones": [20, 40], "batch_size": 32,
+    "gradient_steps": 40, "evaluate_every": 20, "evaluation_episodes": 1, "final_episodes": 2, "milestones": [20, 40],
+    "final_evaluations": 3, "batch_size": 32,
     "width": 16, "learning_rate": 0.001, "discount": 0.99, "critic_tau": 0.01, "noise_std": 0.2, "noise_clip": 0.3, "target_actor": False,
     "policy_delay": 1, "maximise": "min", "actor_noise": True,
 }  # fmt: skip
@@ -55,7 +56,12 @@ def theirs(method: str = "cudc", task: str = "walk", seed: int = 1, **values: An
         "algorithm": "td3", "profile": "smoke", "overrides": dict(values), "seed": seed, "hyperparameters": every,
         "hyperparameters_hash": config_hash(every), "milestones": every["milestones"],
         "curve": [{"step": step, "returns": [draw.uniform(0, 900) for _ in range(every["evaluation_episodes"])]} for step in steps],
-        "final": {"step": steps[-1], "returns": [draw.uniform(0, 900) for _ in range(every["final_episodes"])]}, "metrics": [],
+        "final": {"step": steps[-1], "returns": [draw.uniform(0, 900) for _ in range(every["final_episodes"])]},
+        "late": [
+            {"step": step, "returns": [draw.uniform(0, 900) for _ in range(every["final_episodes"])]}
+            for step in steps[1:][-every["final_evaluations"] : -1]
+        ],
+        "metrics": [],
         "seconds": 1.5, "versions": {"cudc-bench": "0.1.0"}, "commit": None, "dirty": False, "machine": {},
         "command": f"cudc-bench evaluate --algo td3 --profile smoke --domain walker --method {method} --seed {seed} --task {task}",
         "created": "2026-01-01T00:00:00+00:00",
@@ -193,9 +199,15 @@ REFUSED = {
     "more data than the profile has": (changing("dataset.steps", 9000), "has 9,000 steps where profile smoke has 3,000"),
     "a part that is the whole": (changing("dataset.used", 3000), "the first 3,000 of 3,000 transitions"),
     "no start": (changing("curve", theirs()["curve"][1:]), "its curve has 2 evaluations, at 20, 40; by its hyperparameters there are 3"),
-    "another spacing": (changing("curve.1.step", 10), "its curve has 3 evaluations, at 0, 10, 40"),
+    "another spacing": (
+        changing("curve.1.step", 10) | {"late": [{"step": 10, "returns": [1.0, 2.0]}]}, "its curve has 3 evaluations, at 0, 10, 40"
+    ),
+    "late where there is no evaluation": (changing("late.0.step", 10), "'late' was not taken at the last evaluations of 'curve'"),
     "an episode too many": (changing("curve.1.returns", [1.0, 2.0]), "evaluations of its curve have 1, 2 episodes"),
-    "few final episodes": (changing("final.returns", [1.0]), "its final evaluation has 1 episodes, and by its hyperparameters 2"),
+    "few final episodes": (changing("final.returns", [1.0]), "larger evaluation at its end has 1 episodes, and by its hyperparameters 2"),
+    "few late episodes": (changing("late.0.returns", [1.0]), "larger evaluation at its end has 1 episodes, and by its hyperparameters 2"),
+    "no late evaluation": (changing("late", []), "it has 1 larger evaluations at its end, and by its hyperparameters 2"),
+    "a negative late return": (changing("late.0.returns", [1.0, -5.0]), "a return of -5 is impossible: no reward of walker is negative"),
     "other milestones": (changing("milestones", [40]), "its milestones are 40, and by its hyperparameters 20, 40"),
     "a hash of something else": (changing("hyperparameters_hash", "0" * 16), "its hyperparameters have the hash"),
     "an override that is not so": (changing("overrides", {"width": 64}), "its overrides say width=64, and its hyperparameters do not"),
@@ -225,7 +237,7 @@ def test_what_cannot_be_a_result_is_refused(why: str, ground: Path) -> None:
         ({"secret": 1}, {"secret": 1}, "td3 has no hyperparameter called secret"),
         ({"gradient_steps": "forty"}, {}, "its hyperparameters are impossible: 'gradient_steps' cannot be 'forty'"),
         ({"milestones": [30, 40]}, {"milestones": [30, 40]}, "its hyperparameters are impossible: the milestone 30 is never evaluated"),
-        ({"final_episodes": 10**9}, {"final_episodes": 10**9}, "its final evaluation has 2 episodes"),
+        ({"final_episodes": 10**9}, {"final_episodes": 10**9}, "larger evaluation at its end has 2 episodes"),
         ({"evaluate_every": 1}, {"evaluate_every": 1}, "there are 41: at 0, then every 1 steps up to 40"),
     ],
     ids=lambda value: str(value)[:30],
@@ -262,6 +274,26 @@ def test_what_differs_openly_is_taken_with_a_remark(ground: Path) -> None:
         assert says in remarks
 
 
+def test_a_run_from_before_there_were_late_evaluations_is_taken_into_a_table_of_its_own(ground: Path) -> None:
+    before, chosen = theirs(), theirs("icm", final_evaluations=1)
+    del before["hyperparameters"]["final_evaluations"], before["late"]
+    before["hyperparameters_hash"] = config_hash(before["hyperparameters"])
+    received = submit(hand_in(before, chosen), "ann")
+    assert {path.parts[3].partition("-")[0] for path in received.files} == {"smoke"}
+    assert "2 records, such as mail/0.json: a table of its own: smoke (evaluate: final_evaluations=1)." in received.remarks
+    records = [read_record(path) for path in received.files]
+    assert all(record.score(40) == record.final.mean for record in records)
+    # What was done then and what can be asked for now is one protocol.
+    (table,), problems = build_tables(records)
+    assert set(table.methods) == {"cudc (by ann)", "icm (by ann)"}
+    assert problems == []
+    assert "--set final_evaluations=1" in " ".join(table.commands)
+    lying = theirs()
+    del lying["hyperparameters"]["final_evaluations"]
+    lying["hyperparameters_hash"] = config_hash(lying["hyperparameters"])
+    assert only_problem(lying) == "it has 2 larger evaluations at its end, and by its hyperparameters 1."
+
+
 def test_all_or_nothing_with_every_problem_in_a_line(ground: Path) -> None:
     ours(theirs("icm"))
     problems = refused(theirs(), changing("milestones", [40]) | {"created": "2999-01-01"}, theirs(seed=2), {"no": "record"})
@@ -274,10 +306,12 @@ def test_copies_are_refused_whatever_they_are_called(ground: Path) -> None:
         "its returns are, to the last digit, those of results/smoke/0.json (td3 on cudc, walker walk, seed 1, ours)."
     )
     renamed = theirs("icm")
-    renamed |= {"curve": theirs()["curve"], "final": theirs()["final"]}
+    renamed |= {name: theirs()[name] for name in ("curve", "final", "late")}
     assert "those of results/smoke/0.json (td3 on cudc, walker walk, seed 1, ours)" in only_problem(renamed)
     twice = theirs("icm", seed=3)
-    problems = refused(theirs("icm", seed=2), theirs("icm", seed=2), twice | {k: theirs("icm", seed=2)[k] for k in ("curve", "final")})
+    problems = refused(
+        theirs("icm", seed=2), theirs("icm", seed=2), twice | {k: theirs("icm", seed=2)[k] for k in ("curve", "final", "late")}
+    )
     assert "mail/1.json: it is the same run as mail/0.json; hand in one of them." in problems
     assert any(problem.startswith("mail/2.json: its returns are, to the last digit, those of mail/0.json") for problem in problems)
 
@@ -291,7 +325,7 @@ def test_one_dataset_is_not_two_seeds(ground: Path) -> None:
 
 def test_a_run_of_ours_that_somebody_repeated_stands_beside_it(ground: Path) -> None:
     mine, other = theirs(), theirs()
-    mine["final"]["returns"] = [1.0, 2.0]
+    mine["final"]["returns"], mine["late"][0]["returns"] = [1.0, 2.0], [3.0, 4.0]
     ours(mine)
     received = submit(hand_in(other), "ann")
     says = "the same run as results/smoke/0.json (td3 on cudc, walker walk, seed 1, ours), with other returns"
@@ -299,14 +333,14 @@ def test_a_run_of_ours_that_somebody_repeated_stands_beside_it(ground: Path) -> 
     (table,), _ = build_tables(load_records([Path("results")]).records)
     row = next(row for row in table.sections[-1].rows if row.task == "walk")
     assert {m: cell and cell.mean for m, cell in zip(table.methods, row.cells, strict=True)} == {
-        "cudc": 1.5, "cudc (by ann)": pytest.approx(sum(other["final"]["returns"]) / 2),
+        "cudc": 2.5, "cudc (by ann)": pytest.approx(sum(other["final"]["returns"] + other["late"][0]["returns"]) / 4),
     }  # fmt: skip
 
 
 def test_few_different_returns_may_be_the_same(ground: Path) -> None:
     zeros = [theirs(method) for method in ("cudc", "icm")]
     for record in zeros:
-        for evaluation in (*record["curve"], record["final"]):
+        for evaluation in (*record["curve"], record["final"], *record["late"]):
             evaluation["returns"] = [0.0] * len(evaluation["returns"])
     assert len(submit(hand_in(*zeros), "ann").files) == 2
 
