@@ -11,6 +11,7 @@ from cudc_bench.leaderboard.api import Report, make_leaderboard
 from cudc_bench.leaderboard.overall import Comparison
 from cudc_bench.leaderboard.published import reported
 from cudc_bench.leaderboard.render import to_markdown
+from cudc_bench.leaderboard.scale import OF_LARGEST
 from cudc_bench.leaderboard.statistics import Interval
 from cudc_bench.records import read_record
 
@@ -54,7 +55,8 @@ def test_the_readmes_tables_are_those_of_the_records(report: Report, section: st
 
 def test_the_readmes_sentences_are_those_of_the_records(report: Report, section: str) -> None:
     said = " ".join(section.split())
-    found = report.overall[0].headline
+    (overall,) = report.overall
+    found = overall.headline
     means = {one.method: one.returns[0].mean(1) for one in found.standings}  # (5,) points a task of each collector seed
     average = {method: of.mean() for method, of in means.items()}
     lead = {method: average["cudc"] - average[method] for method in means}
@@ -76,6 +78,11 @@ def test_the_readmes_sentences_are_those_of_the_records(report: Report, section:
     assert f"ProtoRL's {ends['proto']}; the five methods' own from {min(explorers):.0f} to {max(explorers):.0f}" in said
     paper = {method: np.mean([reported()["td3", "walker", task, method, 100_000][0] for task in TASKS]) for method in METHODS}
     assert f"by {paper['cudc'] - paper['aps']:.1f} (APS) to {paper['cudc'] - paper['icm']:.0f} points (ICM)" in said
+    assert overall.headline.unit == OF_LARGEST
+    assert "on returns divided by the largest possible ones, with 95 % intervals by Student's t over datasets" in said
+    five, *more = [1000 * design.lead for design in overall.power.designs if design.lead]
+    assert f"with five seeds a lead must be {five:.0f} points a task to be found in 8 of 10 cases (with eight {more[0]:.0f}," in said
+    assert f"with twelve {more[1]:.0f})" in said
     hours = sum(record.seconds for record in report.tables[0].records) / 3600
     assert f"{hours:.1f} of training" in said
 
