@@ -279,8 +279,8 @@ class Overall:
             f"Power: with {span([power.own], 'seed')} {found} found in {round(10 * FOUND)} of 10 cases{f' ({others})' if others else ''},"
             f" by what makes an improvement: an interval above 0.5, and the two-sided permutation test at {SIGNIFICANCE} after Holm's"
             f" correction for {span([power.comparisons], 'comparison')}. Simulated with the covariance that was measured between seeds,"
-            f" pooled over methods: the mean over tasks of one seed deviates by {self.lead(power.deviation)} (95 % interval {low} to"
-            f" {high}, {power.freedom} degrees of freedom)."
+            f" pooled over methods: one seed's mean over tasks has a standard deviation of {self.lead(power.deviation)} (95 % interval"
+            f" {low} to {high}, {power.freedom} degrees of freedom)."
         )
 
     def lead(self, score: float, bare: bool = False) -> str:

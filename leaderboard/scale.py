@@ -86,8 +86,9 @@ def references_caption(references: References, tasks: Iterable[str]) -> str:
     if not having:
         return ""
     seeds = extent(min(one.seeds for one in having), max(one.seeds for one in having))
+    seeds = "1 seed" if seeds == "1" else f"{seeds} seeds"
     lacking = [task for task in tasks if task not in references]
     return (
-        f" Floor: mean return of random actions; ceiling: of TD3 trained online on the task at this profile ({seeds} seed{"" if seeds == "1" else "s"} each)."
+        f" Floor: mean return of random actions; ceiling: of TD3 trained online on the task at this profile ({seeds} each)."
         " Score: (return - floor) / (ceiling - floor)." + (f" Without a reference: {', '.join(lacking)}." if lacking else "")
     )

@@ -411,8 +411,17 @@ def _permuted(sums: Sequence[Integers], sizes: Sequence[int], scales: Sequence[i
         if len(values) * len(reached) > _MOST_SUMS:
             return None
         places = np.asarray(scale * (reached - len(more) // 2), np.int64)
-        values, index = np.unique(values[:, None] + places, return_inverse=True)
-        chances = np.asarray(np.bincount(index.ravel(), np.multiply.outer(chances, more[reached]).ravel()), np.float64)
+        together = values[:, None] + places
+        weights = np.multiply.outer(chances, more[reached]).ravel()
+        least, span = int(together.min()), int(np.ptp(together))
+        if span < together.size:
+            # To sort them takes ten times as long.
+            chances = np.asarray(np.bincount((together - least).ravel(), weights, span + 1), np.float64)
+            values = np.flatnonzero(chances) + least
+            chances = chances[chances > 0]
+        else:
+            values, index = np.unique(together, return_inverse=True)
+            chances = np.asarray(np.bincount(index.ravel(), weights), np.float64)
     return values, chances
 
 

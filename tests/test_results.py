@@ -1,6 +1,5 @@
 """What is said of the project's own results is what its records say."""
 
-import re
 from collections import defaultdict
 from collections.abc import Iterable
 from itertools import product
@@ -14,6 +13,7 @@ from cudc_bench.leaderboard.api import Report, make_leaderboard
 from cudc_bench.leaderboard.overall import Comparison
 from cudc_bench.leaderboard.published import reported
 from cudc_bench.leaderboard.render import to_markdown
+from cudc_bench.leaderboard.scale import BETWEEN
 from cudc_bench.leaderboard.statistics import Interval
 from cudc_bench.records import read_record
 
@@ -88,10 +88,9 @@ def test_the_readmes_sentences_are_those_of_the_records(report: Report, section:
     assert f"by {early['aps']:.1f} (APS) to {early['icm']:.0f} points (ICM) after 100,000 gradient steps" in said
     assert f"and by {late['proto']:.0f} (ProtoRL) to {late['icm']:.0f} (ICM) after 500,000" in said
     assert min(early.values()) == early["cudc"] == 0
-    power = " ".join(str(overall.power_text).split())
-    numbers = re.search(r"with 5 seeds a lead of (\d+) points a task .* \(with 8 one of (\d+), with 12 one of (\d+)\)", power)
-    assert numbers is not None
-    five, eight, twelve = numbers.groups()
+    assert overall.headline.unit == BETWEEN
+    assert "on returns between floor and ceiling, with Student's 95 % intervals over datasets" in said
+    five, eight, twelve = (f"{design.lead * found.points:.0f}" for design in overall.power.designs if design.lead)
     assert f"a lead of {five} points a task is found in 8 of 10 cases, with 8 seeds one of {eight}, with 12 one of {twelve}." in said
 
 

@@ -338,7 +338,7 @@ class Boards(Studies):
                     items += _paper_items(papers.get((section.milestone, row.task, method)), scale)
             lines.append(Line(self.name(method), tuple(items)))
         single = replace(table, sections=(replace(section, rows=(row,)),))
-        lines += self.ends([single], lambda table, task, name, value: [self.end(name, value), *[Item()] * (len(columns) - 1)])
+        lines += self.ends([single], lambda table, task, name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
         low, high = section.episodes
         caption = (
             f"{table.domain} {row.task} after {short(section.milestone)} gradient steps, evaluation episodes:"

@@ -249,9 +249,9 @@ class Parts:
         ]  # fmt: skip
 
     @staticmethod
-    def end(name: str, value: float | None) -> Item:
+    def end(name: str, value: float | None, digits: int = 0) -> Item:
         """A floor or a ceiling as a cell."""
-        return Item() if value is None else Item(f"{round(value)}", value, scaled=f"{float(name == CEILING):.3f}")
+        return Item() if value is None else Item(f"{value:.{digits}f}", value, scaled=f"{float(name == CEILING):.3f}")
 
     def paper(self, table: Table) -> dict[tuple[int, str, str], Beside]:
         """The paper's cells beside a table's."""

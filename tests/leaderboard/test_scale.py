@@ -357,7 +357,7 @@ def test_references_beside_records_are_read_and_what_they_change_is_made_again(r
     assert "Floor: 40.0, the mean return of random actions" in page
     assert "cpu/walker/walk/reference.json below the results" in page
     assert "ceiling (TD3 trained online)" in after["index.html"].decode()
-    assert '<span class="raw">940</span><span class="scaled"> 1.000</span>' in page
+    assert '<span class="raw">940.0</span><span class="scaled"> 1.000</span>' in page
     write(results, "walk", 50.0, 900.0)
     make_leaderboard(results, out)
     assert "| walk | 50 |" in below(out)["cpu.td3.walker/table.md"].decode()
