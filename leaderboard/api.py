@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
+from cudc_bench.references import Bounds, read_references
 
 from .figures import curve_files, draw_bars, figure_files, task_files
 from .files import only
@@ -28,6 +29,7 @@ from .render import (
     paper_to_csv,
     paper_to_latex,
     paper_to_markdown,
+    power_to_csv,
     scores_to_csv,
     to_csv,
     to_latex,
@@ -76,10 +78,12 @@ def make_leaderboard(
     ``.pdf``, the curves of each task as ``task-<task>.svg``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the
     paper reports, too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of
     its tables, and its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``,
-    ``overall.csv``, ``scores.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``. Learners side by
-    side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`). Each file is
-    replaced whole. The same records, and with ``datasets`` the same datasets, give the same bytes. What has not changed since the last
-    build is left alone, and what no record asks for any more is removed (see :mod:`.incremental`).
+    ``overall.csv``, ``scores.csv``, ``power.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``.
+    Learners side by side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`).
+    Each file is replaced whole. Where a task of a profile has a reference below the results (``cudc_bench.references``), its floor and
+    ceiling and the scores between them are shown, too. The same records and references, and with ``datasets`` the same datasets, give the
+    same bytes. What has not changed since the last build is left alone, and what no record asks for any more is removed (see
+    :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.
@@ -95,29 +99,36 @@ def make_leaderboard(
     paths = [check_path(path, "the results") for path in ([results] if isinstance(results, str | Path) else results)]
     folder = None if output is None else check_folder(output, "output")
     loaded = _load(paths)
+    references, faults = read_references(path for path in paths if path.is_dir())
+    loaded = replace(loaded, problems=(*loaded.problems, *faults))
     records = loaded.records
     records = only(records, "record", "profile", profile, lambda record: record.profile)
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     with kept_from_collector():
-        return _make(loaded, paths, records, folder, datasets, whole=profile is domain is algo is None)
+        return _make(loaded, references, paths, records, folder, datasets, whole=profile is domain is algo is None)
 
 
-def _make(loaded: Loaded, paths: Sequence[Path], records: Sequence[Record], folder: Path | None, datasets: bool, whole: bool) -> Report:
-    blocks, problems = build_blocks(records)
+def _make(
+    loaded: Loaded, references: Mapping[tuple[str, str, str], Bounds], paths: Sequence[Path], records: Sequence[Record],
+    folder: Path | None, datasets: bool, whole: bool,
+) -> Report:  # fmt: skip
+    blocks, problems = build_blocks(records, references)
     tables = tables_of(blocks)
     overall = build_overall(tables)
     studies = build_studies(blocks, overall)
     missing = find_missing(tables, [one for study in studies for one in study.wanted])
     files: list[Path] = []
     if folder is not None:
-        parts = [Part(table.slug, partial(_contents, table), loaded.inputs(table.records)) for table in tables]
+        parts = [Part(table.slug, partial(_contents, table), (*loaded.inputs(table.records), *_measures(table))) for table in tables]
         for one in overall:
-            compared = [r for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm) for r in table.records]
-            parts.append(Part(one.slug, partial(_overall_contents, one), loaded.inputs(compared)))
+            compared = [table for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm)]
+            inputs = [text for table in compared for text in (*loaded.inputs(table.records), *_measures(table))]
+            parts.append(Part(one.slug, partial(_overall_contents, one), tuple(inputs)))
+        every = tuple(map(repr, sorted(references.items())))
         for study in studies:
-            inputs = (*loaded.inputs(study.records), study.caption, *study.notes)
-            parts.append(Part(study.folder, partial(study_files, study), inputs, study.name))
+            inputs = [*loaded.inputs(study.records), study.caption, *study.notes, *every]
+            parts.append(Part(study.folder, partial(study_files, study), tuple(inputs), study.name))
         hidden = tables_of(blocks, studies=True)
         local, remarks = find_local(datasets_of([*tables, *hidden]), folder) if datasets else ({}, [])
         problems += remarks
@@ -125,13 +136,18 @@ def _make(loaded: Loaded, paths: Sequence[Path], records: Sequence[Record], fold
         def site_part(there: Mapping[str, Sequence[str]]) -> Part:
             places = _places(loaded, paths)
             site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden)
-            known = [loaded.inputs(records), site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
+            known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
                      (f"{word} {one.digest}" for word, one in local.items())]  # fmt: skip
             return Part("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
 
         # A site over all records is not replaced by one over some of them.
         files = build(folder, parts, whole, None if not whole and holds(folder, "", "site") else site_part)
     return Report(tables, overall, studies, [*loaded.problems, *problems], missing, files)
+
+
+def _measures(table: Table) -> tuple[str, ...]:
+    """What stands for a table's references among the inputs of its files."""
+    return tuple(map(repr, table.references.items()))
 
 
 def _places(loaded: Loaded, paths: Sequence[Path]) -> dict[Run, str]:
@@ -178,5 +194,6 @@ def _overall_contents(overall: Overall) -> dict[str, str | bytes]:
         "overall.tex": overall_to_latex(overall),
         "overall.csv": overall_to_csv(overall),
         "scores.csv": scores_to_csv(overall),
+        **({"power.csv": power_to_csv(overall)} if overall.power else {}),
         **overall_figure_files(overall),
     }

@@ -14,6 +14,7 @@ from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from .load import short
+from .scale import CEILING, FLOOR, MEANING, References
 from .table import Runs, Table, seed_scores
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def draw_curves(runs: Runs) -> Figure:
     what = f"{seeds_text(runs.seeds)}, dotted: milestones"
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}: {what}"
     shown = looks(runs.methods)
-    figure, panels = framed(title, legend(shown), len(runs.tasks), _COLUMNS, sharey=True)
+    figure, panels = framed(title, legend(shown) | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
         _draw_panel(panel, runs, task, shown)
         if index % _COLUMNS == 0:
@@ -107,7 +108,7 @@ def draw_bars(runs: Runs) -> Figure:
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}, after so many gradient steps: {seeds_text(runs.seeds, 'bar')}"
     shown = looks(runs.methods)
     columns = _COLUMNS if len(runs.methods) * len(runs.milestones) <= _BARS else 2
-    entries = {name: filled(look) for name, look in legend(shown).items()}
+    entries = {name: filled(look) for name, look in legend(shown).items()} | references_legend(runs.references)
     figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == _COLUMNS else 4.8)
     group = 1 + len(runs.methods)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
@@ -130,6 +131,7 @@ def draw_bars(runs: Runs) -> Figure:
         panel.set_title(task)
         if index % columns == 0:
             panel.set_ylabel("return")
+        draw_references(panel, task, runs.references)
         returns_axis(panel, runs.domain, runs.tasks)
     return figure
 
@@ -138,7 +140,8 @@ def draw_task(runs: Runs, task: str) -> Figure:
     """The curves of one task, wide enough to follow each line."""
     title = f"{runs.algorithm} on {runs.domain} {task}, profile {runs.group}: {seeds_text(runs.seeds)}, dotted: milestones"
     shown = looks(runs.methods)
-    figure, (panel,) = framed(title, legend(shown), 1, 1, height=3.6, width=7.2)
+    references = {task: runs.references[task]} if task in runs.references else {}
+    figure, (panel,) = framed(title, legend(shown) | references_legend(references), 1, 1, height=3.6, width=7.2)
     _draw_panel(panel, runs, task, shown)
     panel.set_title("")  # The figure's says it.
     panel.set_ylabel("return")
@@ -229,6 +232,24 @@ def legend(shown: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return found
 
 
+_REFERENCES: Mapping[str, dict[str, Any]] = {
+    CEILING: {"color": "#404040", "linestyle": (0, (5.0, 2.0))},
+    FLOOR: {"color": "#404040", "linestyle": (0, (1.0, 1.5))},
+}
+
+
+def references_legend(references: References) -> dict[str, dict[str, Any]]:
+    """What the lines of floors and ceilings mean, for a legend; nothing if there are none. No method has a name with a colon."""
+    return {f"{name}: {MEANING[name]}": look for name, look in _REFERENCES.items()} if references else {}
+
+
+def draw_references(panel: Axes, task: str, references: References) -> None:
+    """Lines at a task's floor and ceiling, if it has a reference."""
+    if (bounds := references.get(task)) is not None:
+        for value, look in zip((bounds.ceiling, bounds.floor), _REFERENCES.values(), strict=True):
+            panel.axhline(value, linewidth=0.9, zorder=0.5, **look)
+
+
 def returns_axis(panel: Axes, domain: str, tasks: Sequence[str]) -> None:
     """The vertical axis of returns: up to the largest possible, where that is known for all tasks."""
     if domain in DOMAINS and set(tasks) <= set(DOMAINS[domain].tasks):
@@ -288,6 +309,7 @@ def _draw_panel(panel: Axes, runs: Runs, task: str, shown: Mapping[str, dict[str
         records = runs.records.get((method, task))
         if records:
             draw_line(panel, *curve(records), look)
+    draw_references(panel, task, runs.references)
     panel.set_title(task)
     steps_axis(panel, "gradient steps", (record.final.step for records in runs.records.values() for record in records))
     returns_axis(panel, runs.domain, runs.tasks)

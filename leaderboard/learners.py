@@ -10,14 +10,14 @@ from itertools import combinations
 from .grid import Column, Entry, Grid, Line, Part
 from .load import column, is_own, short
 from .missing import Wanted
-from .overall import ALL, Comparison, Estimate, Overall, Standing
+from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing, unit_of
 from .overall_figures import draw_estimates
 from .plans import STUDY_METHODS
 from .study import Study, known_tasks
 from .table import METHOD_ORDER, Block, group_slug, ordered
 
 _ORDER = ("td3", "cql")  # the paper's
-_STATISTICS = {"iqm": "IQM", "mean": "Mean"}
+_STATISTICS = {"mean": "Mean", "iqm": "IQM"}
 _FEWEST = 3  # Of two methods every ranking agrees or is turned round.
 # By scope and milestone, and then by learner.
 _Parts = Mapping[tuple[str, int], Mapping[str, Comparison]]
@@ -60,9 +60,9 @@ def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
     if agreement.parts:
         tables.append(agreement)
     (scope, milestone), headline = kept[0]
-    panels = {name: {standing.method: standing.estimates["iqm"] for standing in one.standings} for name, one in headline.items()}
+    panels = {name: {standing.method: standing.estimates[LEAD] for standing in one.standings} for name, one in headline.items()}
     methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
-    title = f"IQM and 95 % intervals by learner: profile {group}: {scope}, {short(milestone)} steps"
+    title = f"Mean score and 95 % intervals by learner: profile {group}: {scope}, {short(milestone)} steps"
     return Study(
         name="learners",
         folder=f"{word}.learners",
@@ -73,7 +73,7 @@ def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
         algorithm=None,
         domain=None,
         tables=tuple(tables),
-        figures={"iqm": partial(draw_estimates, title, methods, panels, alike=True)},
+        figures={"mean": partial(draw_estimates, title, methods, panels, alike=True)},
         notes=tuple(notes),
         records=tuple(one for block in own for found in block.records.values() for one in found),
         wanted=tuple(_wanted(own)),
@@ -99,12 +99,12 @@ def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, pla
             ]
             lines.append(Line((method,), tuple(entries)))
         shown.append(Part(f"{scope}, {short(milestone)} steps", f"{scope}, {milestone}", tuple(lines)))
+    every = [one for found in parts.values() for one in found.values()]
     return Grid(
         name=statistic,
         title=f"{title} by learner",
-        caption=f"{title} over tasks and collector seeds of returns divided by each task's largest possible one, as in each learner's own"
-        " comparison over tasks (overall.md says what enters). In square brackets: 95 % intervals by the cluster bootstrap; in brackets the"
-        " number of seeds.",
+        caption=f"{title} over tasks and collector seeds of {unit_of(every)}, as in each learner's own comparison over tasks (overall.md"
+        " says what enters). In square brackets: 95 % intervals by Student's t over datasets; in brackets the number of seeds.",
         split="scope",
         head=("method",),
         columns=tuple(Column(name, 3) for name in names),
@@ -119,7 +119,7 @@ def _entry(standing: Standing, comparison: Comparison, places: Mapping[tuple[str
         for one in places[learner, domain].records.get((standing.method, task), ())
         if one.dataset.seed in standing.seeds[domain]
     )
-    return Entry(estimate.value, None, estimate.cluster, standing.n, False, records)
+    return Entry(estimate.value, None, estimate.interval, standing.n, False, records)
 
 
 def _agreement(parts: _Parts) -> Grid:
@@ -131,7 +131,7 @@ def _agreement(parts: _Parts) -> Grid:
         for first, second in combinations(found, 2):
             if found[first].tasks != found[second].tasks:
                 continue
-            values = [{one.method: one.estimates["iqm"].value for one in found[name].standings} for name in (first, second)]
+            values = [{one.method: one.estimates[LEAD].value for one in found[name].standings} for name in (first, second)]
             common = [method for method in values[0] if method in values[1]]
             pairs = [[one[method] for method in common] for one in values]
             if len(common) < _FEWEST or any(len(set(one)) < 2 for one in pairs):
@@ -144,9 +144,9 @@ def _agreement(parts: _Parts) -> Grid:
     return Grid(
         name="agreement",
         title="Agreement of learners",
-        caption="Kendall's tau (b) between two learners' IQM of the methods that both have, on the same tasks: 1 if both rank the methods"
-        " alike, 0 if their rankings have nothing to do with each other, -1 if one is the other turned round. p: two-sided, of no"
-        " association. It takes each IQM for exact: methods whose intervals overlap may change places.",
+        caption="Kendall's tau (b) between two learners' mean scores of the methods that both have, on the same tasks: 1 if both rank the"
+        " methods alike, 0 if their rankings have nothing to do with each other, -1 if one is the other turned round. p: two-sided, of no"
+        " association. It takes each mean for exact: methods whose intervals overlap may change places.",
         split="scope",
         head=("learner", "other"),
         columns=(Column("tau", 2, signed=True), Column("p", 3), Column("methods")),

@@ -184,6 +184,11 @@ def short(steps: float) -> str:
     return f"{steps:.6g}"
 
 
+def extent(low: int, high: int) -> str:
+    """Two numbers as one text: ``"5"``, ``"1 to 3"``."""
+    return str(low) if low == high else f"{low} to {high}"
+
+
 def files(paths: Iterable[Path]) -> list[Path]:
     """Files, and every record below folders in sorted order, each once."""
     found: dict[str, Path] = {}

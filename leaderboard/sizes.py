@@ -1,9 +1,9 @@
 """The study of dataset sizes: the same training on the first transitions of each dataset, and on all of them.
 
-Joined is what differs in nothing but how much of a dataset was used. The *area under the sample-efficiency curve* is that of the return
-divided by the task's largest one over log10 of the number of transitions, by the trapezoidal rule between the smallest and the largest
-size, divided by the distance of these two. So it is a mean score, between 0 and 1 as the scores are, in which a doubling of
-the data weighs the same wherever it is. Each collector seed has an area of its own; means, IQM and intervals are over those.
+Joined is what differs in nothing but how much of a dataset was used. The *area under the sample-efficiency curve* is that of the score (see
+:mod:`.scale`) over log10 of the number of transitions, by the trapezoidal rule between the smallest and the largest
+size, divided by the distance of these two. So it is a mean score in which a doubling of the data weighs the same wherever
+it is. Each collector seed has an area of its own; means and intervals are over those.
 """
 
 from __future__ import annotations
@@ -15,24 +15,38 @@ from functools import partial
 
 import numpy as np
 
-from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
-from . import statistics
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .load import column, is_own, short
 from .missing import Wanted
+from .scale import References, references_caption
 from .statistics import Floats
-from .study import IQM_TEXT, ByTask, Study, draw_name, iqm_entry, known_tasks, of_seeds, score_matrix
+from .study import (
+    SCORE,
+    ByTask,
+    Scales,
+    Study,
+    known_tasks,
+    of_seeds,
+    reference_lines,
+    scales_of,
+    score_entry,
+    score_matrix,
+    scored_grid,
+)
 from .study_figures import draw_sizes
 from .table import ENOUGH_SEEDS, METHOD_ORDER, Block, Cell, build_cell, mark_best, ordered, slug, span
 
 AREA_TEXT = (
-    "Area under the sample-efficiency curve: of returns divided by the task's largest possible one over log10 of the number of transitions,"
-    " by the trapezoidal rule between the smallest and the largest size, divided by the distance of these two: a mean score between 0 and"
-    " 1 in which a doubling of the data weighs the same everywhere. Each collector seed has its own area, if it has all sizes."
+    "Area under the sample-efficiency curve: of scores over log10 of the number of transitions, by the trapezoidal rule between the"
+    " smallest and the largest size, divided by the distance of these two: a mean score in which a doubling of the data weighs the same"
+    " everywhere. Each collector seed has its own area, if it has all sizes."
 )
+
+
+_WHOLE = " They are those of the whole datasets' profile at every size: neither is trained on a part of a dataset."
 
 
 @dataclass(frozen=True)
@@ -44,8 +58,10 @@ class Sizes:
         milestone: after so many gradient steps.
         methods, tasks, sizes: what there is.
         cells: result by size, task and method.
-        iqm: IQM over the domain's tasks by size and method, where there is one.
+        scores: mean score over the domain's tasks by size and method, where there is one.
         seeds: how many there are, in words.
+        references: of the whole datasets' profile, by task; they serve every size, since neither random actions nor an agent that is
+            trained online is trained on a part of anything.
     """
 
     group: str
@@ -56,8 +72,9 @@ class Sizes:
     tasks: tuple[str, ...]
     sizes: tuple[int, ...]
     cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
-    iqm: Mapping[tuple[int, str], Entry] = field(repr=False)
+    scores: Mapping[tuple[int, str], Entry] = field(repr=False)
     seeds: str
+    references: References = field(default_factory=dict, repr=False)
 
 
 def area_weights(sizes: Sequence[int]) -> Floats:
@@ -75,7 +92,11 @@ def build_sizes(blocks: Sequence[Block]) -> list[Study]:
     together: dict[tuple[str, str, str], list[Block]] = defaultdict(list)
     for block in blocks:
         together[block.domain, block.algorithm, _first(block).group_of_all_sizes].append(block)
-    found = [_study(group, same) for (_, _, group), same in sorted(together.items()) if any(_first(one).dataset.used for one in same)]
+    found = []
+    for (_, _, group), same in sorted(together.items()):
+        if any(_first(one).dataset.used for one in same):
+            whole = next((one.references for one in same if _first(one).dataset.used is None), {})
+            found.append(_study(group, same, whole))
     return [study for study in found if study is not None]
 
 
@@ -87,7 +108,7 @@ def _first(block: Block) -> Record:
 _Chosen = dict[tuple[int, str], dict[str, list[Record]]]
 
 
-def _study(group: str, blocks: Sequence[Block]) -> Study | None:
+def _study(group: str, blocks: Sequence[Block], references: References) -> Study | None:
     first = blocks[0]
     lasts = Counter(block.milestones[-1] for block in blocks)
     milestone = max(lasts, key=lambda last: (lasts[last], last))
@@ -109,21 +130,24 @@ def _study(group: str, blocks: Sequence[Block]) -> Study | None:
     methods = ordered(cut, METHOD_ORDER)
     sizes = tuple(sorted({size for size, _ in chosen}))
     tasks = ordered({one.dataset.task for one in records}, known_tasks(first.domain))
+    served = {task: references[task] for task in tasks if task in references}
+    scales = scales_of(first.domain, served)
     cells: dict[tuple[int, str, str], Cell] = {}
-    iqm: dict[tuple[int, str], Entry] = {}
+    scores: dict[tuple[int, str], Entry] = {}
     for size in sizes:
         for task in tasks:
             row = mark_best([build_cell(chosen[size, method][task], milestone) for method in methods])
             cells |= {(size, task, method): cell for method, cell in zip(methods, row, strict=True) if cell}
         for method in methods:
-            if entry := iqm_entry(chosen[size, method], first.domain, method, milestone):
-                iqm[size, method] = entry
+            if entry := score_entry(chosen[size, method], scales, milestone):
+                scores[size, method] = entry
     shown = Sizes(
-        plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, iqm,
-        span([cell.n for cell in cells.values()] or [0], "seed"),
+        plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, scores,
+        span([cell.n for cell in cells.values()] or [0], "seed"), served,
     )  # fmt: skip
-    tables = [_returns(shown, chosen)]
-    areas, lines = _areas(shown, chosen)
+    returns = _returns(shown, chosen, scales)
+    tables = [returns, *scored_grid(returns, tasks, served)]
+    areas, lines = _areas(shown, chosen, scales)
     if areas:
         tables.append(areas)
     preliminary = any(cell.n < ENOUGH_SEEDS for cell in cells.values())
@@ -145,29 +169,31 @@ def _study(group: str, blocks: Sequence[Block]) -> Study | None:
     )
 
 
-def _returns(shown: Sizes, chosen: _Chosen) -> Grid:
-    known = bool(known_tasks(shown.domain))
+def _returns(shown: Sizes, chosen: _Chosen, scales: Scales) -> Grid:
+    known = bool(scales.tasks)
     parts = []
     for size in shown.sizes:
         lines = []
         for method in shown.methods:
             entries = [of_cell(shown.cells.get((size, task, method)), chosen[size, method][task]) for task in shown.tasks]
-            lines.append(Line((method,), (*entries, *([shown.iqm.get((size, method))] if known else []))))
+            lines.append(Line((method,), (*entries, *([shown.scores.get((size, method))] if known else []))))
+        lines += reference_lines(shown.references, shown.tasks, int(known))
         parts.append(Part(f"{short(size)} transitions", size, tuple(lines)))
     return Grid(
         name="returns",
         title="Returns by dataset size",
         caption=f"Returns of {shown.algorithm} after {short(shown.milestone)} gradient steps on the first so many transitions. Mean and"
         " sample standard deviation over collector seeds, whose number is in brackets. Bold in each task: the largest mean and those that"
-        f" are not significantly worse (Welch, Holm, as in the main table).{f' {IQM_TEXT}' if known else ''}",
+        f" are not significantly worse (Welch, Holm, as in the main table).{f' {scales.text}' if known else ''}"
+        f"{references_caption(shown.references, shown.tasks)}{_WHOLE if shown.references else ''}",
         split="transitions",
         head=("method",),
-        columns=(*map(Column, shown.tasks), *([Column("IQM", 3)] if known else [])),
+        columns=(*map(Column, shown.tasks), *([Column(SCORE, 3)] if known else [])),
         parts=tuple(parts),
     )
 
 
-def _areas(shown: Sizes, chosen: _Chosen) -> tuple[Grid | None, list[str]]:
+def _areas(shown: Sizes, chosen: _Chosen, scales: Scales) -> tuple[Grid | None, list[str]]:
     known = known_tasks(shown.domain)
     having = {method: tuple(size for size in shown.sizes if any(chosen[size, method].values())) for method in shown.methods}
     # The sizes that most methods have, so that one that lacks some, or has others, takes nothing from the rest.
@@ -184,29 +210,26 @@ def _areas(shown: Sizes, chosen: _Chosen) -> tuple[Grid | None, list[str]]:
             continue
         entries = []
         for tasks in (*((task,) for task in shown.tasks), known):
-            entries.append(_area(shown, [chosen[size, method] for size in sizes], tasks, method, weights))
+            entries.append(_area(shown, [chosen[size, method] for size in sizes], tasks, scales, weights))
         lines.append(Line((method,), tuple(entries)))
     heading = f"{short(sizes[0])} to {short(sizes[-1])} transitions ({len(sizes)} sizes)"
-    caption = f"{AREA_TEXT} For a task: mean over seeds. {IQM_TEXT} In square brackets: 95 % intervals by the cluster bootstrap."
-    columns = (*map(partial(Column, digits=3), shown.tasks), Column("IQM", 3))
+    caption = f"{AREA_TEXT} Mean over seeds. {scales.text}"
+    columns = (*map(partial(Column, digits=3), shown.tasks), Column(SCORE, 3))
     part = Part(heading, f"{sizes[0]}-{sizes[-1]}", tuple(lines))
     return Grid("area", "Area under the sample-efficiency curve", caption, "transitions", ("method",), columns, (part,)), notes
 
 
-def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], method: str, weights: Floats) -> Entry | None:
-    """The IQM of the seeds' areas over several tasks, or of one task their mean, over seeds that have all sizes and tasks."""
-    if not set(tasks) <= set(known_tasks(shown.domain)):
+def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], scales: Scales, weights: Floats) -> Entry | None:
+    """The mean of the seeds' areas over some tasks, over seeds that have all sizes and tasks."""
+    if not set(tasks) <= set(scales.tasks):
         return None
     found = [score_matrix(one, tasks, shown.milestone) for one in records]
     seeds = sorted(set.intersection(*(set(seeds) for seeds, _ in found)))
     if not seeds:
         return None
-    scores = np.stack([returns[[having.index(seed) for seed in seeds]] for having, returns in found])
-    areas = np.tensordot(weights, scores / DOMAINS[shown.domain].max_return, 1)
-    aggregate = "mean" if len(tasks) == 1 else "iqm"
-    interval = statistics.cluster_interval(areas, draw_name(method), aggregate)
-    behind = tuple(record for one in records for record in of_seeds(one, tasks, seeds))
-    return Entry(float(statistics.AGGREGATES[aggregate](areas)), None, interval, len(seeds), False, behind)
+    returns = np.stack([returns[[having.index(seed) for seed in seeds]] for having, returns in found])
+    areas = np.tensordot(weights, scales.scores(returns, tasks), 1)
+    return scales.mean_entry(areas, tasks, tuple(record for one in records for record in of_seeds(one, tasks, seeds)))
 
 
 def _wanted(group: str, blocks: Sequence[Block], shown: Sizes, chosen: _Chosen) -> tuple[Wanted, ...]:

@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
 
 from . import statistics
+from .components import build_components
 from .figures import draw_bars, draw_curves
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .learners import build_learners
@@ -21,8 +24,9 @@ from .missing import Wanted
 from .overall import Overall
 from .plans import PLANS, Plan, canonical
 from .published import CITATION, MEAN, beside, caption, reported_relative, scale
+from .scale import LABELS, references_caption
 from .sizes import build_sizes
-from .study import IQM_TEXT, Study, alias_notes, draw_name, iqm_entry, known_tasks, of_seeds, score_matrix
+from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
 from .study_figures import draw_bounds
 from .table import ENOUGH_SEEDS, Block, Cell, Runs, build_cell, mark_best, ordered
 
@@ -32,8 +36,8 @@ _MARKS = (
 )
 _RELATIVE = (
     "Score divided by CUDC's on the same task: a ratio of means over collector seeds. Mean: of the ratios, over the domain's tasks and the"
-    " seeds that have all of them. In square brackets: 95 % intervals by a cluster bootstrap of both methods' datasets; the whole of an"
-    " interval below 1 says that the part matters."
+    " seeds that have all of them. In square brackets: 95 % intervals by Student's t over both methods' datasets (jackknife); the whole of"
+    " an interval below 1 says that the part matters."
 )
 
 
@@ -45,10 +49,11 @@ def build_studies(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[S
         overall: as ``build_overall`` makes them of the same records.
 
     Returns:
-        By domain, algorithm and group in the order of :data:`~.plans.PLANS`; then those of dataset sizes; then those of learners.
+        By domain, algorithm and group in the order of :data:`~.plans.PLANS`; then those of dataset sizes, of learners, and of variance
+        between datasets and between trainings.
     """
     found = [study for block in blocks for plan in PLANS if (study := _of_plan(block, plan)) is not None]
-    return [*found, *build_sizes(blocks), *build_learners(blocks, overall)]
+    return [*found, *build_sizes(blocks), *build_learners(blocks, overall), *build_components(blocks)]
 
 
 def _of_plan(block: Block, plan: Plan) -> Study | None:
@@ -58,7 +63,8 @@ def _of_plan(block: Block, plan: Plan) -> Study | None:
     if not any(one.dataset.method in plan.own for one in records):
         return None
     runs = _runs(block, plan, chosen)
-    tables = [_returns(runs)]
+    returns = _returns(runs)
+    tables = [returns, *scored_grid(returns, runs.tasks, runs.references)]
     if plan.relative and (relative := _relative(runs)):
         tables = [relative, *tables, *_beside_relative(runs, relative)]
     tables += _beside(runs, plan)
@@ -96,7 +102,8 @@ def _runs(block: Block, plan: Plan, chosen: dict[tuple[str, str], Sequence[Recor
         for task in tasks:
             row = mark_best([build_cell(chosen.get((method, task), ()), milestone) for method in methods])
             cells |= {(milestone, task, method): cell for method, cell in zip(methods, row, strict=True) if cell}
-    return Runs(plain(block.group), block.algorithm, block.domain, methods, tasks, block.milestones, chosen, cells)
+    references = {task: block.references[task] for task in tasks if task in block.references}
+    return Runs(plain(block.group), block.algorithm, block.domain, methods, tasks, block.milestones, chosen, cells, references)
 
 
 def _by_task(runs: Runs, method: str) -> dict[str, Sequence[Record]]:
@@ -108,23 +115,26 @@ def _heading(milestone: int) -> str:
 
 
 def _returns(runs: Runs) -> Grid:
-    known = bool(known_tasks(runs.domain))
+    scales = scales_of(runs.domain, runs.references)
+    known = bool(scales.tasks)
     parts = []
     for milestone in runs.milestones:
         lines = []
         for method in runs.methods:
             entries = [of_cell(runs.cells.get((milestone, task, method)), runs.records.get((method, task), ())) for task in runs.tasks]
             if known:
-                entries.append(iqm_entry(_by_task(runs, method), runs.domain, method, milestone))
+                entries.append(score_entry(_by_task(runs, method), scales, milestone))
             lines.append(Line((method,), tuple(entries)))
+        lines += reference_lines(runs.references, runs.tasks, int(known))
         parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     return Grid(
         name="returns",
         title="Returns",
-        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {IQM_TEXT}' if known else ''}",
+        caption=f"Returns of {runs.algorithm} on {runs.domain} after so many gradient steps.{_MARKS}{f' {scales.text}' if known else ''}"
+        f"{references_caption(runs.references, runs.tasks)}",
         split="milestone",
         head=("method",),
-        columns=(*map(Column, runs.tasks), *([Column("IQM", 3)] if known else [])),
+        columns=(*map(Column, runs.tasks), *([Column(SCORE, 3)] if known else [])),
         parts=tuple(parts),
     )
 
@@ -143,6 +153,8 @@ def _relative(runs: Runs) -> Grid | None:
             if tasks:
                 entries.append(_ratio(runs, method, tasks, milestone))
             lines.append(Line((method,), tuple(entries)))
+        if runs.references:
+            lines += _ends_relative(runs, milestone, [*((task,) for task in runs.tasks), *([tasks] if tasks else [])])
         parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     return Grid("relative", "Relative to CUDC", _RELATIVE, "milestone", ("method",), columns, tuple(parts))
 
@@ -153,9 +165,26 @@ def _ratio(runs: Runs, method: str, tasks: Sequence[str], milestone: int) -> Ent
     (seeds, above), (cudc_seeds, below) = (score_matrix(one, tasks, milestone) for one in (ours, cudc))
     if not seeds or not cudc_seeds or (value := statistics.relative(above, below)) is None:
         return None
-    interval = statistics.relative_interval(above, below, draw_name(method), draw_name("cudc"))
+    interval = statistics.relative_interval(above, below)
     records = (*of_seeds(ours, tasks, seeds), *of_seeds(cudc, tasks, cudc_seeds))
     return Entry(value, None, interval, min(len(seeds), len(cudc_seeds)), False, records)
+
+
+def _ends_relative(runs: Runs, milestone: int, columns: Sequence[Sequence[str]]) -> list[Line]:
+    """Floor and ceiling as a share of CUDC's score, the mean over the tasks of each column."""
+    cudc = _by_task(runs, "cudc")
+    lines = []
+    for name, label in LABELS.items():
+        entries: list[Entry | None] = []
+        for tasks in columns:
+            seeds, below = score_matrix(cudc, tasks, milestone)
+            value = None
+            if seeds and all(task in runs.references for task in tasks):
+                ends = [getattr(runs.references[task], name) for task in tasks]
+                value = statistics.relative(np.array([ends], np.float64), below)
+            entries.append(None if value is None else Entry(value))
+        lines.append(Line((label,), tuple(entries)))
+    return lines
 
 
 def _beside(runs: Runs, plan: Plan) -> list[Grid]:

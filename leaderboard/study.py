@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,23 +11,21 @@ import numpy as np
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.options import format_seeds
 from cudc_bench.records import Record
+from cudc_bench.references import Bounds
 
 from . import statistics
 from .figures import figure_files
-from .grid import Entry, Grid
+from .grid import Column, Entry, Grid, Line, Part
 from .load import is_own
 from .missing import Wanted
-from .plans import canonical
+from .scale import BETWEEN, CEILING, FLOOR, LABELS, OF_LARGEST, References, Scale, references_caption, scale_of
 from .statistics import Floats
 from .table import commands, scores_by_seed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-IQM_TEXT = (
-    "IQM: of returns divided by the largest possible one, over the domain's tasks and the collector seeds that have all of them; 95 %"
-    " intervals by the cluster bootstrap (datasets resampled with all their tasks)."
-)
+SCORE = "mean score"
 
 
 @dataclass(frozen=True)
@@ -90,21 +88,86 @@ def score_matrix(records: ByTask, tasks: Sequence[str], milestone: int) -> tuple
     return tuple(seeds), np.array([[one[seed] for one in found] for seed in seeds], np.float64).reshape(len(seeds), len(tasks))
 
 
-def iqm_entry(records: ByTask, domain: str, method: str, milestone: int) -> Entry | None:
-    """The IQM of a method over all tasks of a domain; None if the domain is unknown or no seed has all of them."""
+@dataclass(frozen=True)
+class Scales:
+    """How the returns of a domain become scores.
+
+    Attributes:
+        tasks: all of the domain, whose largest return is known; none if the domain is not.
+        scales: of each, all by references or all by the largest return.
+        text: what its mean scores are, for a caption.
+    """
+
+    tasks: tuple[str, ...]
+    scales: tuple[Scale, ...]
+    text: str
+
+    def scores(self, returns: Floats, tasks: Sequence[str]) -> Floats:
+        """Returns of some of the tasks, the last axis, as scores."""
+        of = [self.scales[self.tasks.index(task)] for task in tasks]
+        return np.stack([scale.score(returns[..., index]) for index, scale in enumerate(of)], -1)
+
+    def mean_entry(self, scores: Floats, tasks: Sequence[str], records: tuple[Record, ...]) -> Entry:
+        """The mean of some seeds' scores over some of the tasks, (n, T), with its interval."""
+        of = [self.scales[self.tasks.index(task)] for task in tasks]
+        lowest, highest = ([self.scores(np.array([[getattr(scale, end) for scale in of]]), tasks)] for end in ("least", "largest"))
+        interval = statistics.aggregate_interval([scores], "mean", lowest, highest)
+        return Entry(statistics.mean([scores]), None, interval, len(scores), False, records)
+
+
+def scales_of(domain: str, references: References) -> Scales:
+    """By references if all of the domain's tasks have one."""
     tasks = known_tasks(domain)
-    seeds, returns = score_matrix(records, tasks, milestone)
-    if not tasks or not seeds:
+    by_references = all(task in references for task in tasks)
+    found = [scale_of(domain, task, references if by_references else {}) for task in tasks]
+    text = (
+        f"Mean score: of {BETWEEN if by_references else OF_LARGEST}, over the domain's tasks and the collector seeds that have all of them;"
+        " 95 % intervals by Student's t over datasets, each with all its tasks."
+    )
+    return Scales(tasks, tuple(scale for scale in found if scale), text)
+
+
+def score_entry(records: ByTask, scales: Scales, milestone: int) -> Entry | None:
+    """The mean score of a method's records over all tasks of a domain; None if the domain is unknown or no seed has all of them."""
+    seeds, returns = score_matrix(records, scales.tasks, milestone)
+    if not scales.tasks or not seeds:
         return None
-    scores = returns / DOMAINS[domain].max_return
-    # The name's draws are those of every other comparison of this method, which so has one interval.
-    interval = statistics.cluster_interval(scores, draw_name(method))
-    return Entry(float(statistics.iqm(scores)), None, interval, len(seeds), False, of_seeds(records, tasks, seeds))
+    return scales.mean_entry(scales.scores(returns, scales.tasks), scales.tasks, of_seeds(records, scales.tasks, seeds))
 
 
-def draw_name(method: str) -> str:
-    """What ``statistics.draw`` is seeded with for a method, whatever a study calls it."""
-    return f"cluster {canonical(method)}"
+def reference_lines(references: References, tasks: Sequence[str], further: int) -> list[Line]:
+    """Rows of floors and ceilings below those of methods: an entry for each task, and ``further`` empty ones; none without references."""
+    if not any(task in references for task in tasks):
+        return []
+    ends = {FLOOR: lambda bounds: bounds.floor, CEILING: lambda bounds: bounds.ceiling}
+    return [
+        Line((LABELS[name],), (*(Entry(end(references[task])) if task in references else None for task in tasks), *[None] * further))
+        for name, end in ends.items()
+    ]
+
+
+def scored_entry(entry: Entry | None, bounds: Bounds | None) -> Entry | None:
+    """A mean return as a score between floor and ceiling; None if either is missing."""
+    if entry is None or bounds is None:
+        return None
+    std = None if entry.std is None else entry.std / (bounds.ceiling - bounds.floor)
+    return replace(entry, value=bounds.normalise(entry.value), std=std)
+
+
+def scored_grid(returns: Grid, tasks: Sequence[str], references: References) -> list[Grid]:
+    """A grid of returns, whose first columns are tasks, as scores; none without references."""
+    chosen = [(index, task) for index, task in enumerate(tasks) if task in references]
+    if not chosen:
+        return []
+    parts = tuple(
+        Part(part.title, part.key, tuple(
+            Line(line.labels, tuple(scored_entry(line.entries[index], references[task]) for index, task in chosen)) for line in part.lines
+        ))
+        for part in returns.parts
+    )  # fmt: skip
+    caption = f"{returns.title} as scores: mean and sample standard deviation over collector seeds.{references_caption(references, tasks)}"
+    columns = tuple(Column(task, 2) for _, task in chosen)
+    return [Grid("scores", "Scores", caption, returns.split, returns.head, columns, parts)]
 
 
 def known_tasks(domain: str) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from .figures import COLOURS, framed, legend, looks, returns_axis, seeds_text
+from .figures import COLOURS, draw_references, framed, legend, looks, references_legend, returns_axis, seeds_text
 from .load import short
 from .table import Runs
 
@@ -33,7 +33,7 @@ def draw_bounds(runs: Runs, bounds: Mapping[str, int]) -> Figure:
         for i, milestone in enumerate(runs.milestones)
     }
     title = f"The upper bound of k: {runs.algorithm} on {runs.domain}, profile {runs.group}: {seeds_text(runs.seeds, 'bar')}"
-    figure, panels = framed(title, shown, len(runs.tasks), _COLUMNS, sharey=True)
+    figure, panels = framed(title, shown | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
         for place, (milestone, look) in enumerate(zip(runs.milestones, shown.values(), strict=True)):
             cells = {bounds[method]: cell for method in runs.methods if (cell := runs.cells.get((milestone, task, method)))}
@@ -49,21 +49,22 @@ def draw_bounds(runs: Runs, bounds: Mapping[str, int]) -> Figure:
         panel.set_xlim(min(bounds.values()) - 0.4, max(bounds.values()) + 0.4)
         if index % _COLUMNS == 0:
             panel.set_ylabel("return")
+        draw_references(panel, task, runs.references)
         returns_axis(panel, runs.domain, runs.tasks)
     return figure
 
 
 def draw_sizes(sizes: Sizes) -> Figure:
-    """The mean return over the number of transitions, a panel for each task, band: ± one sample standard deviation; and the IQM over
-    the domain's tasks, band: 95 % intervals by the cluster bootstrap. A single seed is a thin line."""
+    """The mean return over the number of transitions, a panel for each task, band: ± one sample standard deviation; and the mean score
+    over the domain's tasks, band: 95 % intervals by Student's t. A single seed is a thin line."""
     shown = looks(sizes.methods)
     title = (
         f"Sample efficiency: {sizes.algorithm} on {sizes.domain}, profile {sizes.group}, {short(sizes.milestone)} steps:"
-        f" {seeds_text(sizes.seeds)}{'; of the IQM: 95 %' if sizes.iqm else ''}"
+        f" {seeds_text(sizes.seeds)}{'; of the mean score: 95 %' if sizes.scores else ''}"
     )
-    count = len(sizes.tasks) + bool(sizes.iqm)
+    count = len(sizes.tasks) + bool(sizes.scores)
     columns = 3 if count in (3, 5, 6, 9) else _COLUMNS
-    figure, panels = framed(title, legend(shown), count, columns)
+    figure, panels = framed(title, legend(shown) | references_legend(sizes.references), count, columns)
     for index, (panel, task) in enumerate(zip(panels, sizes.tasks, strict=False)):
         for method, look in shown.items():
             cells = {size: cell for size in sizes.sizes if (cell := sizes.cells.get((size, task, method)))}
@@ -71,15 +72,16 @@ def draw_sizes(sizes: Sizes) -> Figure:
             _draw_points(panel, {size: cell.mean for size, cell in cells.items()}, spread, look)
         panel.set_title(task)
         panel.set_ylabel("return" if index % columns == 0 else "")
+        draw_references(panel, task, sizes.references)
         returns_axis(panel, sizes.domain, sizes.tasks)
         _sizes_axis(panel, sizes)
-    if sizes.iqm:
+    if sizes.scores:
         panel = panels[-1]
         for method, look in shown.items():
-            entries = {size: entry for size in sizes.sizes if (entry := sizes.iqm.get((size, method)))}
+            entries = {size: entry for size in sizes.sizes if (entry := sizes.scores.get((size, method)))}
             spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
             _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
-        panel.set_title("IQM over all tasks (score)")
+        panel.set_title("mean score over all tasks")
         panel.set_ylim(0, 1)
         _sizes_axis(panel, sizes)
     return figure

@@ -19,9 +19,11 @@ from typing import Any
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.ids import domain_slug
 from cudc_bench.records import Record
+from cudc_bench.references import Bounds
 
-from .load import column, evaluation_at, plain, short, submitted_columns
+from .load import column, evaluation_at, extent, plain, short, submitted_columns
 from .plans import STUDY_METHODS, canonical
+from .scale import CEILING, FLOOR, References, references_caption, serving
 from .statistics import SIGNIFICANCE, holm
 
 METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")
@@ -45,6 +47,11 @@ class Cell:
     std: float | None
     n: int
     best: bool = False
+
+    def scored(self, bounds: Bounds) -> Cell:
+        """The same as a score between a floor and a ceiling."""
+        std = None if self.std is None else self.std / (bounds.ceiling - bounds.floor)
+        return replace(self, mean=bounds.normalise(self.mean), std=std)
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,7 @@ class Block:
         group, algorithm, domain: as of its records; ``group`` is not yet fit for showing.
         milestones: gradient steps, ascending.
         records: those of each method (see :func:`~.load.column`) on each task.
+        references: what may serve them, by task (see :func:`~.scale.serving`).
     """
 
     group: str
@@ -79,6 +87,7 @@ class Block:
     domain: str
     milestones: tuple[int, ...]
     records: Mapping[tuple[str, str], Sequence[Record]] = field(repr=False)
+    references: References = field(default_factory=dict, repr=False)
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -106,6 +115,7 @@ class Runs:
         methods, tasks, milestones: what there is to show; every task has records.
         records: those of a method on a task, if there are some.
         cells: the result of a method on a task at a milestone, if there is one.
+        references: floor and ceiling of tasks that have a reference.
     """
 
     group: str
@@ -116,6 +126,7 @@ class Runs:
     milestones: tuple[int, ...]
     records: Mapping[tuple[str, str], Sequence[Record]] = field(repr=False)
     cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
+    references: References = field(default_factory=dict, repr=False)
 
     @property
     def seeds(self) -> str:
@@ -134,6 +145,7 @@ class Table:
         methods: the columns: the paper's baselines and CUDC in the paper's order, then others by name; imported datasets have their own.
         sections: one for each milestone, ascending.
         records: all that it was made from.
+        references: floor and ceiling of tasks that have a reference.
     """
 
     group: str
@@ -143,11 +155,17 @@ class Table:
     methods: tuple[str, ...]
     sections: tuple[Section, ...]
     records: tuple[Record, ...] = field(repr=False)
+    references: References = field(default_factory=dict, repr=False)
 
     @property
     def tasks(self) -> tuple[str, ...]:
         """The rows: the domain's tasks in its order, then others by name."""
         return tuple(row.task for row in self.sections[0].rows)
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """The heads of its columns: the methods, between floor and ceiling if a task has a reference."""
+        return (FLOOR, *self.methods, CEILING) if self.references else self.methods
 
     @property
     def cells(self) -> list[Cell]:
@@ -172,7 +190,7 @@ class Table:
         }
         tasks = tuple(task for task in self.tasks if any((method, task) in records for method in self.methods))
         milestones = tuple(section.milestone for section in self.sections)
-        return Runs(self.group, self.algorithm, self.domain, self.methods, tasks, milestones, records, cells)
+        return Runs(self.group, self.algorithm, self.domain, self.methods, tasks, milestones, records, cells, self.references)
 
     @property
     def commands(self) -> list[str]:
@@ -195,7 +213,7 @@ class Table:
     def caption(self) -> str:
         """What the numbers are, in plain ASCII except for what records bring along."""
         steps = " and ".join(short(section.milestone) for section in self.sections)
-        episodes = ", ".join(f"{_span(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
+        episodes = ", ".join(f"{extent(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
         preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
         imported = any(record.dataset.source for record in self.records)
         twins = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
@@ -206,6 +224,7 @@ class Table:
             " the largest mean and those that are not significantly worse (two-sided Welch test over seeds, p >= 0.05 after Holm's"
             " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
+            + references_caption(self.references, self.tasks)
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (f" Another name of the same setting: {', '.join(twins)}." if twins else "")
             + submitted_caption(submitted_columns(self.records))
@@ -227,21 +246,29 @@ def origins(records: Iterable[Record]) -> str:
     return ", ".join(sorted(told))
 
 
-def build_tables(records: Iterable[Record]) -> tuple[list[Table], list[str]]:
+def build_tables(
+    records: Iterable[Record], references: Mapping[tuple[str, str, str], Bounds] | None = None
+) -> tuple[list[Table], list[str]]:
     """Sort records into the main tables; results of different groups never share one.
 
     Returns:
         The tables, by domain, algorithm and group, and one line for each problem.
     """
-    blocks, problems = build_blocks(records)
+    blocks, problems = build_blocks(records, references)
     return tables_of(blocks), problems
 
 
-def build_blocks(records: Iterable[Record]) -> tuple[list[Block], list[str]]:
+def build_blocks(
+    records: Iterable[Record], references: Mapping[tuple[str, str, str], Bounds] | None = None
+) -> tuple[list[Block], list[str]]:  # fmt: skip
     """Sort records into what may be compared.
 
     Records whose milestones differ from those of most others in their block are left out of it. Of two datasets of one setting and seed
     under two names (see ``plans.ALIASES``) one is left out: they would otherwise count as two trainings on one dataset.
+
+    Args:
+        records: of any group.
+        references: by profile, domain and task, as ``cudc_bench.references.read_references`` returns them.
 
     Returns:
         The blocks, by domain, algorithm and group, and one line for each problem.
@@ -253,7 +280,7 @@ def build_blocks(records: Iterable[Record]) -> tuple[list[Block], list[str]]:
     for domain, algorithm, group in sorted(split):
         single, twins = _without_twins(split[domain, algorithm, group])
         same, odd = _agree(single)
-        block = Block(group, algorithm, domain, _milestones(same[0]), by_cell(same))
+        block = Block(group, algorithm, domain, _milestones(same[0]), by_cell(same), serving(references or {}, same[0]))
         blocks.append(block)
         problems += [f"table {block.slug}: {problem}" for problem in (*twins, *odd, *_doubts(same))]
     return blocks, problems
@@ -344,7 +371,7 @@ def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 def span(counts: Iterable[int], what: str) -> str:
     """Some numbers of things: ``"5 seeds"``, ``"1 to 3 seeds"``."""
     low, high = min(counts := list(counts)), max(counts)
-    return f"{_span(low, high)} {what if high == 1 else f'{what}s'}"
+    return f"{extent(low, high)} {what if high == 1 else f'{what}s'}"
 
 
 def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
@@ -359,7 +386,8 @@ def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
         evaluations = [evaluation_at(record, milestone) for record in records]
         episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
         sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
-    return Table(plain(block.group), block.algorithm, block.domain, block.slug, tuple(methods), tuple(sections), records)
+    shown = {task: block.references[task] for task in tasks if task in block.references}
+    return Table(plain(block.group), block.algorithm, block.domain, block.slug, tuple(methods), tuple(sections), records, shown)
 
 
 def build_cell(records: Iterable[Record], milestone: int) -> Cell | None:
@@ -432,7 +460,3 @@ def _milestones(record: Record) -> tuple[int, ...]:
 
 def _listed(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
-
-
-def _span(low: int, high: int) -> str:
-    return str(low) if low == high else f"{low} to {high}"

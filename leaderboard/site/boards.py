@@ -12,8 +12,10 @@ from cudc_bench.records import Record
 
 from ..load import short
 from ..missing import Missing
-from ..overall import PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..power import FOUND
 from ..published import Beside, beside_paper
+from ..scale import Scale, largest_return
 from ..statistics import student
 from ..table import Cell, Row, Section, Table, seed_scores, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
@@ -25,16 +27,17 @@ from .parts import (
     count,
     domain_path,
     domain_text,
-    largest_return,
     machine,
     pm,
     pm_scaled,
+    reference_text,
     runs_path,
     task_path,
     version,
 )
 from .studies import Studies
 
+_FURTHER = tuple(name for name in NAMES if name != LEAD)
 _MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
 
 
@@ -91,14 +94,18 @@ class Boards(Studies):
         scores = ", ".join(f"{domain.max_return:,.0f} on {domain.name}" for domain in DOMAINS.values())
         lines = (
             "A return is the undiscounted sum of an episode's rewards, a mean over evaluation episodes. Normalised, it is divided by the"
-            f" largest that is possible: {scores}.",
+            f" largest that is possible: {scores}. Where the task has a reference at exactly this profile, normalised is instead (return -"
+            " floor) / (ceiling - floor): the floor is the mean return of random actions, the ceiling that of TD3 trained online on the"
+            " task.",
             "The unit of replication is the collector seed, that is: the dataset. Several training runs on one dataset count once, as"
             " their mean; ± is the sample standard deviation over seeds, and (5) or n the number of them.",
             "Scores are those after the last gradient step of each milestone, never the best of a training run.",
             "Bold and marked ● in a task: the largest mean, and all that are not significantly worse (two-sided Welch test over seeds,"
             " Holm's correction within the task, p ≥ 0.05).",
-            "IQM: mean without the lowest and highest quarter of runs. Intervals: 95 %, by a cluster bootstrap that draws datasets with all"
-            " their tasks. P(rank 1): how often a method has the largest IQM in it.",
+            "Scores are normalised returns. Mean: over tasks of the means over seeds. IQM: mean without the lowest and highest quarter of"
+            " runs; of tasks of unequal scale it leaves out the easiest and the hardest. Intervals: 95 %, by Student's t over datasets,"
+            " each with all its tasks. P(rank 1): how probable it is by these that a method has the largest mean; only of methods with the"
+            " same collector seeds.",
             f"{PRELIMINARY} A single seed has no interval.",
             "The paper's numbers stand beside ours where it reports the same cell. They come from another implementation and are never"
             " ranked with ours; σ counts the paper's standard deviations between them.",
@@ -151,7 +158,7 @@ class Boards(Studies):
         parts += self.studies_list(self.studies_of(board))
         scopes = {one.scope for one in board.overall.comparisons} if board.overall else set()
         shown = {"intervals", "profiles", "ranks", *({"domains"} if len(scopes) > 1 else ())}
-        parts += self.further(board.slug, shown, {"overall", "scores"})
+        parts += self.further(board.slug, shown, {"overall", "scores", "power"})
         missing = [one for one in self.site.missing if (one.group, one.algorithm) == (board.group, board.algorithm)]
         if missing:
             parts.append(_missing(missing))
@@ -164,44 +171,45 @@ class Boards(Studies):
         return [Exhibit(
             f"Ranking over {headline.scope}", grids=tuple(grids), figures=figures,
             downloads=self.downloads(board.slug, ("overall", "scores", "intervals")),
-            text=(overall.caption, *(f"Left out: {line}" for line in headline.left_out)),
+            text=(overall.caption, *headline.remarks, *(f"Left out: {line}" for line in headline.left_out)),
             lead=f"{PRELIMINARY}" if headline.preliminary else "",
         )]  # fmt: skip
 
     def _standings(self, board: Board, comparison: Comparison) -> Grid:
-        standings = sorted(comparison.standings, key=lambda one: -one.estimates["iqm"].value)
-        highs = [one.estimates["iqm"].cluster.high for one in standings if one.estimates["iqm"].cluster]
-        largest = ceil(10 * max([*highs, *(one.estimates["iqm"].value for one in standings), 0.1]) - 1e-9) / 10
+        standings = sorted(comparison.standings, key=lambda one: -one.estimates[LEAD].value)
+        highs = [within.high for one in standings if (within := one.estimates[LEAD].interval)]
+        largest = ceil(10 * max([*highs, *(one.estimates[LEAD].value for one in standings), 0.1]) - 1e-9) / 10
         columns = (
-            Heading("IQM"), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
-            Heading("P(rank 1)"), Heading("median"), Heading("mean"), Heading("optimality gap"), Heading("seeds"),
+            Heading(NAMES[LEAD]), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
+            *([] if comparison.unranked else [Heading("P(rank 1)")]), *(Heading(NAMES[name]) for name in _FURTHER), Heading("seeds"),
         )  # fmt: skip
         lines = [Line(self.name(one.method), self._standing(one, largest)) for one in standings]
-        return Grid(f"{comparison.title}, {comparison.seeds}, by IQM", "method", columns, tuple(lines), milestone=comparison.milestone,
-                    filters="methods")  # fmt: skip
+        caption = f"{comparison.title}, {comparison.seeds}, by {NAMES[LEAD]}"
+        return Grid(caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods")
 
     def _standing(self, standing: Standing, largest: float) -> tuple[Item, ...]:
-        found = standing.estimates["iqm"]
-        within = found.cluster
+        found = standing.estimates[LEAD]
+        within = found.interval
         low, high = (within.low, within.high) if within else (found.value, found.value)
-        rest = [
-            Item(f"{standing.estimates[name].value:.3f}", standing.estimates[name].value) for name in ("median", "mean", "optimality_gap")
-        ]
+        rest = [Item(f"{standing.estimates[name].value:.3f}", standing.estimates[name].value) for name in _FURTHER]
         return (
             Item(f"{found.value:.3f}", found.value),
             Item(f"{low:.3f} to {high:.3f}") if within else Item(),
             Item("", found.value, picture=bar(low, found.value, high, largest, self.colour(standing.method))),
-            Item(f"{standing.ranks[0]:.2f}", standing.ranks[0]) if standing.ranks else Item(),
+            *([Item(f"{standing.ranks[0]:.2f}", standing.ranks[0])] if standing.ranks else []),
             *rest,
-            count(standing.n),
+            Item(standing.seeds_text, standing.n),
         )
 
     def _comparisons(self, board: Board, overall: Overall) -> list[Exhibit]:
         headline = overall.headline
         found = []
+        if overall.power_text:
+            downloads = self.downloads(board.slug, ("power",))
+            found.append(Exhibit("What so many seeds can show", grids=_power(overall), text=(overall.power_text,), downloads=downloads))
         figures = (
             *self.figure(board.slug, "profiles", f"Performance profiles, {headline.title}: share of runs above each score."),
-            *self.figure(board.slug, "ranks", f"Probability of each rank by IQM, {headline.title}."),
+            *self.figure(board.slug, "ranks", f"Probability of each rank by the mean, {headline.title}."),
         )
         if figures:
             found.append(Exhibit("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
@@ -209,11 +217,12 @@ class Boards(Studies):
         if others:
             parts = [
                 Exhibit(scope, grids=tuple(self._standings(board, one) for one in others if one.scope == scope),
-                        text=tuple(f"Left out: {line}" for one in others if one.scope == scope for line in one.left_out))
+                        text=tuple(line for one in others if one.scope == scope
+                                   for line in (*one.remarks, *(f"Left out: {line}" for line in one.left_out))))
                 for scope in dict.fromkeys(one.scope for one in others)
             ]  # fmt: skip
             figures = self.figure(
-                board.slug, "domains", f"IQM of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
+                board.slug, "domains", f"Mean score of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
             )
             downloads = self.downloads(board.slug, ("domains",))
             found.append(Exhibit("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))
@@ -248,6 +257,7 @@ class Boards(Studies):
                 section = next((one for one in table.sections if one.milestone == milestone), None)
                 items += [self.cell(table, section, row, method) for row in section.rows] if section else [Item() for _ in table.tasks]
             lines.append(Line(self.name(method), tuple(items)))
+        lines += self.ends(board.tables, lambda table, task, name, value: [self.end(name, value)])
         caption = (
             f"{board.algorithm}, profile {brief(board.group)}, {short(milestone)} gradient steps: mean ± sample standard deviation (seeds)"
         )
@@ -283,7 +293,7 @@ class Boards(Studies):
         grids = []
         for section in reversed(table.sections):
             row = next(one for one in section.rows if one.task == task)
-            grids.append(self._task_grid(table, section, row, largest))
+            grids.append(self._task_grid(table, section, row))
         name = f"task-{task}" if f"task-{task}.svg" in self.site.files.get(table.slug, ()) else "curves"
         what = f"Learning curves of all methods on {table.domain} {task}: mean return over gradient steps, band: one standard deviation."
         exhibits = [
@@ -298,6 +308,7 @@ class Boards(Studies):
         lead = (
             f"{table.algorithm}, profile {brief(table.group)}."
             + (f" The largest possible return is {largest:,.0f}." if largest else " The largest possible return is not known."),
+            *reference_text(table, task),
         )
         others = tuple(Item(one, link=task_path(table, one)) for one in table.tasks if one != task)
         if others:
@@ -305,7 +316,8 @@ class Boards(Studies):
         crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
         return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(exhibits))
 
-    def _task_grid(self, table: Table, section: Section, row: Row, largest: float | None) -> Grid:
+    def _task_grid(self, table: Table, section: Section, row: Row) -> Grid:
+        largest, scale = largest_return(table.domain, row.task), self.scale(table, row.task)
         papers = self.paper(table)
         columns = [Heading("mean"), Heading("std"), Heading("95 % interval", sorts=False), Heading("seeds"),
                    Heading("each seed", number=False, sorts=False)]  # fmt: skip
@@ -319,12 +331,14 @@ class Boards(Studies):
             items = [Item()] * len(columns)
             if cell is not None:
                 link = runs_path(table, row.task, method, section.milestone)
-                items = [*self._numbers(cell, largest, link), count(cell.n)]
+                items = [*self._numbers(cell, scale, link), count(cell.n)]
                 picture = dots(seed_scores(together[method], section.milestone), cell.mean, reach, self.colour(method))
                 items.append(Item("", cell.mean, picture=picture))
                 if with_paper:
-                    items += _paper_items(papers.get((section.milestone, row.task, method)), largest)
+                    items += _paper_items(papers.get((section.milestone, row.task, method)), scale)
             lines.append(Line(self.name(method), tuple(items)))
+        single = replace(table, sections=(replace(section, rows=(row,)),))
+        lines += self.ends([single], lambda table, task, name, value: [self.end(name, value), *[Item()] * (len(columns) - 1)])
         low, high = section.episodes
         caption = (
             f"{table.domain} {row.task} after {short(section.milestone)} gradient steps, evaluation episodes:"
@@ -332,17 +346,34 @@ class Boards(Studies):
         )
         return Grid(caption, "method", tuple(columns), tuple(lines), milestone=section.milestone, filters="methods")
 
-    def _numbers(self, cell: Cell, largest: float | None, link: str) -> list[Item]:
+    def _numbers(self, cell: Cell, scale: Scale | None, link: str) -> list[Item]:
         within = None if cell.std is None else student(cell.mean, cell.std, cell.n)
 
         def scaled(*values: float) -> str:
-            return " to ".join(f"{value / largest:.3f}" for value in values) if largest else MISSING
+            return " to ".join(f"{scale.score(value) + 0.0:.3f}" for value in values) if scale else MISSING
 
         return [
             Item(f"{cell.mean:.1f}", cell.mean, link, cell.best, scaled(cell.mean)),
-            Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=scaled(cell.std)),
+            Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=f"{scale.width(cell.std):.3f}" if scale else MISSING),
             Item() if within is None else Item(f"{within.low:.0f} to {within.high:.0f}", scaled=scaled(within.low, within.high)),
         ]
+
+
+def _power(overall: Overall) -> tuple[Grid, ...]:
+    """What several numbers of seeds can show."""
+    if overall.power is None:
+        return ()
+    columns = tuple(map(Heading, ("least p", "after Holm's correction", f"lead found in {round(10 * FOUND)} of 10 cases")))
+    lines = [
+        Line(Item(f"{one.seeds}{' (as here)' if one.seeds == overall.power.own else ''}", one.seeds), (
+            Item(f"{one.least:.2g}", one.least), Item(f"{one.corrected:.2g}", one.corrected),
+            Item() if one.lead is None else Item(overall.lead(one.lead), one.lead),
+        ))
+        for one in overall.power.designs
+    ]  # fmt: skip
+    return (
+        Grid(f"Seeds of each method in a domain, and what the test can find: {overall.headline.title}", "seeds", columns, tuple(lines)),
+    )
 
 
 def _missing(missing: Sequence[Missing]) -> Exhibit:
@@ -357,9 +388,9 @@ def _missing(missing: Sequence[Missing]) -> Exhibit:
                    lines=tuple(lines), code=tuple(code), folded=len(missing) > 5)  # fmt: skip
 
 
-def _paper_items(paper: Beside | None, largest: float | None) -> list[Item]:
+def _paper_items(paper: Beside | None, scale: Scale | None) -> list[Item]:
     if paper is None or paper.paper is None:
         return [Item(), Item()]
     mean, std = paper.paper
-    shown = Item(pm(mean, std), mean, scaled=pm_scaled(mean, std, largest) if largest else MISSING)
+    shown = Item(pm(mean, std), mean, scaled=pm_scaled(mean, std, scale) if scale else MISSING)
     return [shown, Item() if paper.difference is None else Item(f"{paper.difference:+.1f} σ", paper.difference)]

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from cudc_bench.data.card import facts_of
 from cudc_bench.markup import plain
+from cudc_bench.records import Record
 
 from ..load import column, short
+from ..overall import LEAD, NAMES
+from ..scale import CEILING, FLOOR
 from ..statistics import student
 from ..table import Table
 from .datasets import Dataset, Local
@@ -74,6 +78,7 @@ class Catalogue(Parts):
 
     def _method_results(self, board: Board, method: str) -> Exhibit:
         grids = []
+        referenced = any(table.references for table in (*board.tables, *board.hidden) if method in table.methods)
         for milestone in board.milestones:
             lines = []
             for table in (one for one in (*board.tables, *board.hidden) if method in one.methods):
@@ -82,21 +87,23 @@ class Catalogue(Parts):
                     cell = row.cells[table.methods.index(method)] if method in table.methods else None
                     item = self.cell(table, section, row, method) if section else Item()
                     within = student(cell.mean, cell.std, cell.n) if cell and cell.std is not None else None
+                    bounds = table.references.get(row.task)
+                    ends = [self.end(name, getattr(bounds, name, None)) for name in (FLOOR, CEILING)] if referenced else []
                     lines.append(Line(Item(f"{table.domain} {row.task}", link=self._task_link(board, table, row.task)), (
-                        item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(),
+                        item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
                     )))  # fmt: skip
             caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
-            columns = (Heading("return"), Heading("95 % interval", sorts=False))
+            columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))
             grids.append(Grid(caption, "task", columns, tuple(lines), milestone=milestone))
         facts = []
         for comparison in board.overall.comparisons if board.overall else ():
             standing = next((one for one in comparison.standings if one.method == method), None)
             if standing is None:
                 continue
-            found = standing.estimates["iqm"]
-            around = f" ({found.cluster.low:.3f} to {found.cluster.high:.3f})" if found.cluster else ""
+            found = standing.estimates[LEAD]
+            around = f" ({found.interval.low:.3f} to {found.interval.high:.3f})" if found.interval else ""
             chance = f", rank 1 with probability {standing.ranks[0]:.2f}" if standing.ranks else ""
-            facts.append((comparison.title, Item(f"IQM {found.value:.3f}{around}{chance}")))
+            facts.append((comparison.title, Item(f"{NAMES[LEAD]} {found.value:.3f}{around}{chance}")))
         return Exhibit(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
 
     @staticmethod
@@ -166,13 +173,19 @@ class Catalogue(Parts):
         )
         return Page(dataset_path(dataset), title, crumbs, (), (), tuple(exhibits))
 
+    def _final(self, table: Table, record: Record) -> Item:
+        """The mean of a run's last evaluation, with its score where the task has a reference."""
+        bounds = table.references.get(record.dataset.task)
+        score = "" if bounds is None else f"score {bounds.normalise(record.final.mean) + 0.0:.3f}"
+        return replace(number(record.final.mean), note=score)
+
     def _trained(self, dataset: Dataset) -> Exhibit:
         lines = []
         for record in sorted(dataset.records, key=lambda r: (r.group, r.algorithm, r.dataset.task, r.seed)):
             table = self.table_of[id(record)]
             link = runs_path(table, record.dataset.task, column(record))
             lines.append(Line(Item(record.dataset.task, link=link), (
-                Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), number(record.final.mean),
+                Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), self._final(table, record),
                 Item(f"{record.seconds:,.0f}", record.seconds), Item(f"{version(record, 'cudc-bench')}, {commit(record)}"),
                 Item(machine_text(record) or MISSING),
             )))  # fmt: skip

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.markup import plain
 from cudc_bench.records import Record
+from cudc_bench.references import reference_path
 
 from ..figures import looks
 from ..load import column
 from ..missing import Missing
 from ..overall import Overall
 from ..published import Beside, beside_paper
+from ..scale import CEILING, FLOOR, LABELS, Scale, scale_of
 from ..study import Study
-from ..table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered
+from ..table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered, span
 from .datasets import Dataset, Local, datasets_of
-from .models import MISSING, Exhibit, Figure, Item, swatch
+from .models import MISSING, Exhibit, Figure, Item, Line, swatch
 
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
 _DASHES = {"-": "", "--": "5 2", "-.": "5 2 1.5 2", ":": "1.5 2"}
@@ -210,17 +213,45 @@ class Parts:
         cell = row.cells[table.methods.index(method)] if method in table.methods else None
         if cell is None:
             return Item()
-        largest = largest_return(table.domain, row.task)
+        scale = self.scale(table, row.task)
         paper = self.paper(table).get((section.milestone, row.task, method))
         beside = beside_scaled = None
         if paper is not None and paper.paper is not None:
             difference = "" if paper.difference is None else f", {paper.difference:+.1f} σ"
             beside = f"paper {pm(*paper.paper)}{difference}"
-            beside_scaled = f"paper {pm_scaled(*paper.paper, largest)}{difference}" if largest else beside
+            beside_scaled = f"paper {pm_scaled(*paper.paper, scale)}{difference}" if scale else beside
         return Item(
             pm(cell.mean, cell.std), cell.mean, runs_path(table, row.task, method, section.milestone), cell.best,
-            pm_scaled(cell.mean, cell.std, largest) if largest else MISSING, f"({cell.n})", beside, beside_scaled,
+            pm_scaled(cell.mean, cell.std, scale) if scale else MISSING, f"({cell.n})", beside, beside_scaled,
         )  # fmt: skip
+
+    def scale(self, table: Table, task: str) -> Scale | None:
+        """By what a task's returns are normalised where a reader asks for it."""
+        return scale_of(table.domain, task, table.references)
+
+    def ends(self, tables: Sequence[Table], items: Callable[[Table, str, str, float | None], Sequence[Item]]) -> list[Line]:
+        """Rows of floors and ceilings below those of methods; none if no task has a reference.
+
+        Args:
+            tables: whose tasks are side by side.
+            items: the cells of a table's task in the row ``"floor"`` or ``"ceiling"``, whose return there is None without a reference.
+        """
+        if not any(table.references for table in tables):
+            return []
+        return [
+            Line(Item(LABELS[name]), tuple(
+                item
+                for table in tables
+                for task in table.tasks
+                for item in items(table, task, name, getattr(table.references[task], name) if task in table.references else None)
+            ))
+            for name in (FLOOR, CEILING)
+        ]  # fmt: skip
+
+    @staticmethod
+    def end(name: str, value: float | None) -> Item:
+        """A floor or a ceiling as a cell."""
+        return Item() if value is None else Item(f"{round(value)}", value, scaled=f"{float(name == CEILING):.3f}")
 
     def paper(self, table: Table) -> dict[tuple[int, str, str], Beside]:
         """The paper's cells beside a table's."""
@@ -246,20 +277,27 @@ def by_column(table: Table, task: str) -> dict[str, list[Record]]:
     return {method: found[method] for method in table.methods if method in found}
 
 
-def largest_return(domain: str, task: str) -> float | None:
-    """The largest possible return of a task; None if that is not known."""
-    known = DOMAINS.get(domain)
-    return known.max_return if known is not None and task in known.tasks else None
-
-
 def pm(mean: float, std: float | None) -> str:
     """A mean with its standard deviation, as tables show them."""
     return f"{round(mean)}" if std is None else f"{round(mean)} ± {round(std)}"
 
 
-def pm_scaled(mean: float, std: float | None, largest: float) -> str:
-    """The same divided by the largest possible return."""
-    return f"{mean / largest:.3f}" if std is None else f"{mean / largest:.3f} ± {std / largest:.3f}"
+def pm_scaled(mean: float, std: float | None, scale: Scale) -> str:
+    """The same normalised."""
+    score = f"{scale.score(mean) + 0.0:.3f}"
+    return score if std is None else f"{score} ± {scale.width(std):.3f}"
+
+
+def reference_text(table: Table, task: str) -> tuple[str, ...]:
+    """What a task's reference is, if it has one."""
+    bounds = table.references.get(task)
+    if bounds is None:
+        return ()
+    return (
+        f"Floor: {bounds.floor:.1f}, the mean return of random actions; a policy before any training gets {bounds.untrained:.1f}. Ceiling:"
+        f" {bounds.ceiling:.1f}, that of TD3 trained online on the task at this profile. {span([bounds.seeds], 'seed')} each; the record is"
+        f" {reference_path(Path(), table.domain, task, table.records[0].profile).as_posix()} below the results.",
+    )
 
 
 def domain_text(name: str) -> str:

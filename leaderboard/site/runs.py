@@ -22,6 +22,7 @@ from .parts import (
     number,
     origin,
     pm,
+    reference_text,
     runs_path,
     task_path,
     version,
@@ -64,7 +65,7 @@ class Runs(Parts):
         # A hidden table has no pages of its own.
         above = () if any(table is one for one in board.hidden) else ((table.domain, domain_path(table)), (task, task_path(table, task)))
         crumbs = (*self.crumbs(board), *above)
-        lead = (f"The runs behind {method} in the tables of {table.algorithm}, profile {brief(table.group)}.",)
+        lead = (f"The runs behind {method} in the tables of {table.algorithm}, profile {brief(table.group)}.", *reference_text(table, task))
         preliminary = len({record.dataset.seed for record in records}) < ENOUGH_SEEDS
         badges = ("Preliminary: fewer than five seeds",) if preliminary else ()
         return Page(runs_path(table, task, method), f"{method} on {table.domain} {task}", crumbs, lead, badges, tuple(exhibits))

@@ -39,7 +39,8 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("cql", {"squash_twice": False}),
     ("cql", {"sum_log_prob": True}),
     ("cql-fixed", {"lagrange": True, "penalty_target": 1.0}),
-    ("iql", {"schedule_steps": 2}),  # the third step is beyond
+    ("iql", {"schedule_steps": 5}),
+    ("iql", {"schedule_steps": 1}),  # the third step is beyond
     ("iql", {"expectile": 0.9, "beta": 10.0, "largest_weight": 5.0}),
     ("rebrac", {"policy_delay": 1, "actor_penalty": 0.3, "critic_penalty": 0.2}),
     ("rebrac", {"hidden_layers": 2}),

@@ -36,7 +36,7 @@ quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCh
 @pytest.fixture(autouse=True)
 def fewer_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
     draw = statistics.draw
-    monkeypatch.setattr(statistics, "draw", lambda n, blocks, name: draw(n, blocks, name, 500))
+    monkeypatch.setattr(statistics, "draw", lambda n, tasks, name: draw(n, tasks, name, 500))
 
 
 @pytest.fixture
@@ -87,13 +87,17 @@ def test_scores_are_returns_divided_by_the_tasks_largest(runs: Callable) -> None
     headline = only(records).headline
     (standing,) = headline.standings
     assert headline.tasks == tuple((domain, task) for domain in ("walker", "jaco") for task in DOMAINS[domain].tasks)
-    for column, (domain, task) in enumerate(headline.tasks):
-        returns = [one.final.mean for one in records if (one.dataset.domain, one.dataset.task) == (domain, task)]
-        assert standing.returns[:, column].tolist() == returns
-        assert standing.scores[:, column] == pytest.approx(np.array(returns) / {"walker": 1000, "jaco": 250}[domain])
-    assert standing.estimates["iqm"].value == pytest.approx(float(statistics.iqm(standing.scores)))
+    assert headline.domains == ("walker", "jaco")
+    for domain, returns, scores in zip(headline.domains, standing.returns, standing.scores, strict=True):
+        for column, task in enumerate(DOMAINS[domain].tasks):
+            expected = [one.final.mean for one in records if (one.dataset.domain, one.dataset.task) == (domain, task)]
+            assert returns[:, column].tolist() == expected
+            assert scores[:, column] == pytest.approx(np.array(expected) / {"walker": 1000, "jaco": 250}[domain])
+    for name, aggregate in statistics.AGGREGATES.items():
+        assert standing.estimates[name].value == aggregate(standing.scores)
     assert standing.profile.tolist() == statistics.profile(standing.scores, THRESHOLDS).tolist()
-    assert only(records).comparisons[3].standings[0].returns == pytest.approx(0.5 * standing.returns)
+    for before, last in zip(only(records).comparisons[3].standings[0].returns, standing.returns, strict=True):
+        assert before == pytest.approx(0.5 * last)
 
 
 def test_training_runs_on_one_dataset_are_one_seed(runs: Callable) -> None:
@@ -103,8 +107,9 @@ def test_training_runs_on_one_dataset_are_one_seed(runs: Callable) -> None:
     ]
     once, twice = only(runs("cudc")).headline.standings[0], only([*runs("cudc"), *again]).headline.standings[0]
     assert once.n == twice.n == 5
-    assert twice.returns[0] == pytest.approx(once.returns[0] + 5)
-    assert (twice.returns[1:] == once.returns[1:]).all()
+    for before, after in zip(once.returns, twice.returns, strict=True):
+        assert after[0] == pytest.approx(before[0] + 5)
+        assert (after[1:] == before[1:]).all()
 
 
 def test_a_method_without_a_domain_is_compared_on_the_others(runs: Callable) -> None:
@@ -120,19 +125,60 @@ def test_a_method_without_a_domain_is_compared_on_the_others(runs: Callable) -> 
 def test_only_tasks_that_all_methods_have_are_compared(runs: Callable) -> None:
     headline = only([*runs("cudc"), *without(runs("random"), domain="walker", task="flip")]).headline
     assert ("walker", "flip") not in headline.tasks
-    assert [standing.scores.shape for standing in headline.standings] == [(5, 7), (5, 7)]
+    assert [[block.shape for block in standing.scores] for standing in headline.standings] == [[(5, 3), (5, 4)]] * 2
     assert headline.left_out == ("walker flip: random lacks it.",)
 
 
 def test_a_seed_enters_with_all_tasks_of_its_domain_or_not_at_all(runs: Callable) -> None:
     headline = only([*without(runs("cudc"), domain="walker", task="run", seed=2), *runs("random")]).headline
     random_runs, cudc = headline.standings
-    assert cudc.seeds == {"walker": (1, 3, 4, 5), "jaco": (1, 2, 3, 4)}
+    # The other domain loses none for that.
+    assert cudc.seeds == {"walker": (1, 3, 4, 5), "jaco": (1, 2, 3, 4, 5)}
     assert (cudc.n, random_runs.n) == (4, 5)
+    assert (cudc.seeds_text, random_runs.seeds_text, headline.seeds) == ("4 to 5", "5", "4 to 5 seeds")
     assert headline.preliminary
-    assert headline.left_out == (
-        "cudc, walker, seed 2: without all of the tasks.", "cudc, jaco, seed 5: on other domains it has 4 seeds only.",
-    )  # fmt: skip
+    assert headline.left_out == ("cudc, walker, seed 2: without all of the tasks.",)
+
+
+def test_a_domain_with_few_seeds_takes_none_from_another(runs: Callable) -> None:
+    records = [*runs("cudc", range(1, 9), ("walker",)), *runs("cudc", range(1, 4), ("jaco",))]
+    every, walker, jaco = only(records).comparisons[:3]
+    (both,), (alone,) = every.standings, walker.standings
+    assert [block.shape for block in both.scores] == [(8, 4), (3, 4)]
+    assert every.left_out == ()
+    assert both.scores[0].tolist() == alone.scores[0].tolist()
+    # Each task weighs the same.
+    means = [one.standings[0].estimates["mean"] for one in (walker, jaco)]
+    assert both.estimates["mean"].value == pytest.approx((means[0].value + means[1].value) / 2)
+    assert both.estimates["mean"].interval is not None
+    assert both.estimates["mean"].stratified is None  # rliable's is of one number of seeds
+    frame = pd.read_csv(io.StringIO(overall_to_csv(only(records))))
+    assert frame[frame.scope == ALL][["seeds", "datasets"]].drop_duplicates().to_numpy().tolist() == [[3, 11]]
+    assert len(pd.read_csv(io.StringIO(scores_to_csv(only(records)))).query("scope == @ALL and milestone == 20000")) == 8 * 4 + 3 * 4
+
+
+def test_ranks_are_of_methods_with_the_same_seeds(runs: Callable) -> None:
+    alike = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm")]).headline
+    assert alike.unranked is None
+    assert not any("ranks" in line for line in alike.remarks)
+    assert np.sum([standing.ranks for standing in alike.standings], axis=0) == pytest.approx([1, 1, 1])
+    assert alike.standings[2].ranks[0] > 0.99
+    others = {
+        "of fewer seeds": [*runs("cudc"), *runs("random", range(1, 5))],
+        "of other seeds": [*runs("cudc"), *runs("random", range(2, 7))],
+        "of fewer in one domain": [*runs("cudc"), *runs("random", domains=("walker",)), *runs("random", range(1, 4), ("jaco",))],
+        "of a third method": [*runs("cudc"), *runs("random"), *runs("icm", range(1, 2))],
+    }
+    for what, records in others.items():
+        comparison = only(records).headline
+        assert [standing.ranks for standing in comparison.standings] == [None] * len(comparison.standings), what
+        assert comparison.remarks[0] == "No probabilities of ranks: the methods do not have the same collector seeds."
+        assert "ranks.svg" not in overall_figure_files(only(records))
+    assert "rank_1" not in overall_to_csv(only(others["of fewer seeds"]))
+    assert "No probabilities of ranks" in overall_to_markdown(only(others["of fewer seeds"]))
+    single = only([*runs("cudc", range(1, 2)), *runs("random", range(1, 2))]).headline
+    assert single.unranked == "each method has a single seed in a domain"
+    assert only(runs("cudc")).headline.remarks == ()  # There is nothing to be ranked.
 
 
 def test_a_method_whose_seeds_share_no_domain_is_left_out(runs: Callable) -> None:
@@ -186,12 +232,13 @@ def test_a_single_seed_has_no_interval_and_improves_on_nothing(runs: Callable) -
     overall = only([*runs("cudc", range(1, 2), level=0.7), *runs("random", level=0.1), *runs("icm", level=0.2)])
     headline = overall.headline
     random_runs, icm, cudc = headline.standings
-    assert cudc.band is cudc.ranks is cudc.estimates["iqm"].cluster is cudc.estimates["iqm"].stratified is None
+    assert cudc.band is cudc.estimates["iqm"].interval is cudc.estimates["iqm"].stratified is None
     pair = headline.pair("cudc", "random")
     assert (pair.probability, pair.interval, pair.p, pair.holm, pair.better) == (1.0, None, None, None, False)
     assert headline.pair("icm", "random").better
-    # Ranks are those among methods that have an interval; a family is those that can be tested.
-    assert (icm.ranks, random_runs.ranks) == ((1.0, 0.0), (0.0, 1.0))
+    # How likely a method comes first depends on all others.
+    assert icm.ranks is random_runs.ranks is None
+    # A family is those that can be tested.
     assert headline.pair("icm", "random").holm == headline.pair("icm", "random").p
     assert "A single seed has no interval. Preliminary: fewer than five seeds" in overall.caption
 
@@ -239,12 +286,13 @@ def test_whatever_is_missing_the_tasks_are_common_and_the_numbers_in_bounds(data
     for overall in build_overall(build_tables(kept)[0]):
         for one in overall.comparisons:
             for standing in one.standings:
-                assert standing.scores.shape == (standing.n, len(one.tasks))
-                assert {len(seeds) for seeds in standing.seeds.values()} == {standing.n}
+                assert sum(block.shape[1] for block in standing.scores) == len(one.tasks)
+                assert [len(block) for block in standing.scores] == standing.counts
                 for found in standing.estimates.values():
-                    ends = [end for it in (found.cluster, found.stratified) if it for end in (it.low, it.high)]
+                    ends = [end for it in (found.interval, found.stratified) if it for end in (it.low, it.high)]
                     assert all(0 <= number <= 1 for number in (found.value, *ends))
                     assert bool(ends) == (standing.n > 1)
+                    assert found.interval is None or found.interval.low <= found.value <= found.interval.high
             assert all(0 <= pair.probability <= 1 for pair in one.pairs)
             assert len(one.pairs) == len(one.methods) * (len(one.methods) - 1)
             entered = {(domain, task) for domain, task in one.tasks}
@@ -256,13 +304,14 @@ def test_whatever_is_missing_the_tasks_are_common_and_the_numbers_in_bounds(data
 def test_renderings(runs: Callable) -> None:
     records = [*runs("cudc", level=0.5), *runs("random", level=0.1), *runs("my_method", range(1, 2)), *runs("late", domains=("walker",))]
     overall = only(records)
+    win = overall.headline.pair("cudc", "random").interval
     text, latex = overall_to_markdown(overall), overall_to_latex(overall)
-    iqm = overall.headline.standings[1].estimates["iqm"]
-    assert f"| cudc | {iqm.value:.3f} \\[{iqm.cluster.low:.3f}, {iqm.cluster.high:.3f}\\] \\{{" in text
+    mean = overall.headline.standings[1].estimates["mean"]
+    assert f"| cudc | {mean.value:.3f} \\[{mean.interval.low:.3f}, {mean.interval.high:.3f}\\] \\{{" in text
     assert "### all domains, 20K steps, 8 tasks, 1 to 5 seeds" in text
-    assert "| cudc | **1.00 \\[1.00, 1.00\\]** | – | 1.00 |" in text
+    assert f"| cudc | **1.00 \\[{win.low:.2f}, 1.00\\]** | – | 1.00 |" in text
     assert "- late: it has no results on jaco." in text
-    assert f"cudc & {iqm.value:.3f} [{iqm.cluster.low:.3f}, {iqm.cluster.high:.3f}] \\{{" in latex
+    assert f"cudc & {mean.value:.3f} [{mean.interval.low:.3f}, {mean.interval.high:.3f}] \\{{" in latex
     assert r"cudc & \textbf{1.00} & -- & 1.00 \\" in latex
     assert r"my\_method & " in latex
     assert latex.isascii()
@@ -271,12 +320,17 @@ def test_renderings(runs: Callable) -> None:
     screen = Console(file=io.StringIO(), width=80)
     screen.print(overall_to_rich(overall))
     shown = screen.file.getvalue()
-    assert f"{iqm.value:.3f}  [{iqm.cluster.low:.3f}, {iqm.cluster.high:.3f}]" in shown
+    assert f"{mean.value:.3f}  [{mean.interval.low:.3f}, {mean.interval.high:.3f}]" in shown
     assert "Left out: late: it has no results on jaco." in shown
     assert "Preliminary: fewer than five seeds" in shown
     frame = pd.read_csv(io.StringIO(overall_to_csv(overall)))
-    line = frame[(frame.scope == ALL) & (frame.milestone == 20_000) & (frame.method == "cudc") & (frame.statistic == "iqm")].iloc[0]
-    assert (line.value, line.low, line.high, line.stratified_low) == (iqm.value, iqm.cluster.low, iqm.cluster.high, iqm.stratified.low)
+    line = frame[(frame.scope == ALL) & (frame.milestone == 20_000) & (frame.method == "cudc") & (frame.statistic == "mean")].iloc[0]
+    assert (line.value, line.low, line.high, line.stratified_low) == (
+        mean.value,
+        mean.interval.low,
+        mean.interval.high,
+        mean.stratified.low,
+    )
     (win,) = frame[(frame.scope == ALL) & (frame.milestone == 20_000) & (frame.method == "cudc") & (frame.other == "random")].itertuples()
     assert (win.value, win.improvement) == (1.0, True)
     scores = list(csv.DictReader(io.StringIO(scores_to_csv(overall))))
@@ -316,19 +370,20 @@ def test_figures_of_twelve_methods_have_no_text_upon_another(runs: Callable) -> 
 def test_figures_are_repeatable_and_show_what_they_should(runs: Callable) -> None:
     overall = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm", range(1, 2))])
     files = overall_figure_files(overall)
-    assert set(files) == {f"{name}.{kind}" for name in ("intervals", "profiles", "ranks", "domains") for kind in ("svg", "pdf")}
+    assert set(files) == {f"{name}.{kind}" for name in ("intervals", "profiles", "domains") for kind in ("svg", "pdf")}
+    ranked = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm")])
+    assert set(overall_figure_files(ranked)) - set(files) == {"ranks.svg", "ranks.pdf"}
     assert files == overall_figure_files(overall)
-    for name in ("intervals", "profiles", "ranks", "domains"):
-        texts = {element.text for element in ElementTree.fromstring(files[f"{name}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
-        assert "cudc" in texts
-        assert ("icm" in texts) == (name != "ranks")
+    for name, of in {**dict.fromkeys(("intervals", "profiles", "domains"), files), "ranks": overall_figure_files(ranked)}.items():
+        texts = {element.text for element in ElementTree.fromstring(of[f"{name}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
+        assert {"cudc", "icm", "random"} <= texts
     (panel, *_) = draw_intervals(overall).axes
     lines = {tuple(line.get_xdata()) for line in panel.lines}
-    iqm = overall.headline.standings[2].estimates["iqm"]
-    assert {(iqm.value,), (iqm.cluster.low, iqm.cluster.high), (iqm.stratified.low, iqm.stratified.high)} <= lines
+    mean = overall.headline.standings[2].estimates["mean"]
+    assert {(mean.value,), (mean.interval.low, mean.interval.high), (mean.stratified.low, mean.stratified.high)} <= lines
     assert "ranks.svg" not in overall_figure_files(only(runs("cudc", range(1, 2))))
     every, walker, jaco = draw_domains(overall).axes
     assert [panel.get_title() for panel in (every, walker, jaco)] == [ALL, "walker", "jaco"]
-    assert (iqm.value,) in {tuple(line.get_xdata()) for line in every.lines}
+    assert (mean.value,) in {tuple(line.get_xdata()) for line in every.lines}
     assert every.get_xlim() == walker.get_xlim() == jaco.get_xlim()
     assert "domains.svg" not in overall_figure_files(only(runs("cudc", domains=("jaco",))))

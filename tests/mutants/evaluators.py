@@ -250,7 +250,7 @@ MUTANTS: list[Mutant] = [
     ),
     *mutants(
         "evaluators/crr.py", ("crr",),
-        ("(advantage > 0)", "(advantage > 0.02)", "(advantage < 0)"),
+        ("(advantage > 0)", "(advantage > 1.0)", "(advantage < 0)"),
         ("return advantage.exp()", "return (1.02 * advantage).exp()"),
         (".clamp(max=self.config.largest_weight)", ".clamp(max=1.02 * self.config.largest_weight)", ""),
         ('if self.config.weight == "exp" else advantage', 'if self.config.weight == "exp" else advantage.abs()'),
@@ -299,7 +299,7 @@ MUTANTS: list[Mutant] = [
         ("torch.cat([batch.action, uniform, own, following], dim=1)", "torch.cat([batch.action, uniform, own, own], dim=1)"),
         ("batch.observation.repeat(1, 1 + 3 * times, 1)", "batch.observation.repeat_interleave(1 + 3 * times, 1)"),
         ("unflatten(1, (1 + 3 * times, -1))", "unflatten(1, (-1, 1 + 3 * times)).transpose(1, 2)"),
-        ("values = self.critic(batch.observation.repeat", "values = self.target_critic(batch.observation.repeat"),
+        ("of_data = values[:, 0]", "of_data = self.target_critic(batch.observation, batch.action) + 0.0 * values[:, 0]"),
         (
             "(values.logsumexp(1) - of_data)",
             "(values.logsumexp(1) - math.log(1 + 3 * times) - of_data)",
