@@ -233,7 +233,7 @@ AGENT = [
     ),
     # The reward is that of the updated networks.
     *mutants(
-        "collectors/ddpg.py", ("icm", "apt", "be", "proto", "aps", "rnd", "disagreement", "diayn", "cic"),
+        "collectors/ddpg.py", ("icm", "apt", "be", "aps", "rnd", "disagreement", "diayn", "cic"),
         (
             "            loss, metrics = self.belief_loss(batch)\n"
             '            self.minimise("belief", loss)\n        with torch.no_grad():\n            reward = self.reward(batch)\n',
@@ -251,7 +251,7 @@ AGENT = [
         ),
     ),
     *mutants(
-        "collectors/ddpg.py", ("proto", "cudc", "cudc-reward"),
+        "collectors/ddpg.py", ("proto", "cudc"),
         ("        self.update_targets()\n", ""),
     ),
 ]  # fmt: skip
@@ -426,7 +426,7 @@ METHODS = [
             "        self.moments.add(distance)\n            distance = distance / self.moments.mean[:, None]",
             "        distance = distance / self.moments.mean[:, None]\n            self.moments.add(distance)",
         ),
-        ("distance / self.moments.mean[:, None]", "distance / self.moments.variance.sqrt()[:, None]", "distance / self.moments.mean"),
+        ("distance / self.moments.mean[:, None]", "distance / self.moments.variance.sqrt()[:, None]", "distance / self.moments.mean.mean()"),
         (
             "(distance - config.distance_floor).clamp(min=0.0)",
             "(distance - config.distance_floor).abs()",
