@@ -426,7 +426,11 @@ METHODS = [
             "        self.moments.add(distance)\n            distance = distance / self.moments.mean[:, None]",
             "        distance = distance / self.moments.mean[:, None]\n            self.moments.add(distance)",
         ),
-        ("distance / self.moments.mean[:, None]", "distance / self.moments.variance.sqrt()[:, None]", "distance / self.moments.mean.mean()"),
+        (
+            "distance / self.moments.mean[:, None]",
+            "distance / self.moments.variance.sqrt()[:, None]",
+            "distance / self.moments.mean.mean()",
+        ),
         (
             "(distance - config.distance_floor).clamp(min=0.0)",
             "(distance - config.distance_floor).abs()",
