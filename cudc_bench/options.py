@@ -51,8 +51,8 @@ def with_precision(settings: Mapping[str, str], precision: str | None) -> dict[s
     return {**settings, "precision": precision}
 
 
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """``"1-3,7"`` -> (1, 2, 3, 7), without repeats.
+def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
+    """``"1-3,7"`` -> (1, 2, 3, 7), without repeats; ``option`` is for messages.
 
     Raises:
         UsageError: it is not a list of numbers and ranges, or has more than 1,000 seeds.
@@ -61,13 +61,13 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())
         if match is None or not part.isascii():
-            raise UsageError(f"--seeds cannot be '{text}'; give numbers and ranges, such as 1 or 1-5 or 1,3.")
+            raise UsageError(f"{option} cannot be '{text}'; give numbers and ranges, such as 1 or 1-5 or 1,3.")
         first, last = int(match[1]), int(match[2] or match[1])
         if last < first or last - first >= 1000:
-            raise UsageError(f"--seeds cannot have the range '{part.strip()}'; it must ascend, over at most 1,000 seeds.")
+            raise UsageError(f"{option} cannot have the range '{part.strip()}'; it must ascend, over at most 1,000 seeds.")
         seeds |= dict.fromkeys(range(first, last + 1))
         if len(seeds) > 1000:
-            raise UsageError("--seeds cannot have more than 1,000 seeds; split them over several runs.")
+            raise UsageError(f"{option} cannot have more than 1,000 seeds; split them over several runs.")
     return tuple(seeds)
 
 

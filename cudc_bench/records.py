@@ -122,7 +122,7 @@ class Record(Strict):
         algorithm: the evaluator's name.
         profile: of the training.
         overrides: hyperparameters of the training that differ from the profile.
-        seed: of the training.
+        seed: of the training, which is the dataset's own unless another was asked for.
         hyperparameters: all of them.
         hyperparameters_hash: of ``hyperparameters``.
         milestones: gradient steps whose scores go into tables.
@@ -249,13 +249,17 @@ def settings_text(overrides: Mapping[str, Any]) -> str:
     return ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides))
 
 
-def record_path(results: Path, dataset_id: str, algorithm: str, seed: int, profile: str, used: int | None = None) -> Path:
-    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``.
+def record_path(
+    results: Path, dataset_id: str, algorithm: str, seed: int, profile: str, used: int | None = None, training_seed: int | None = None
+) -> Path:
+    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``, by the dataset's seed.
 
-    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``.
+    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``, and that of a training with another seed than the
+    dataset's ``<algorithm>-seed<seed>-training<training seed>.json``.
     """
     part = "" if used is None else f"-first{used}"
-    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}.json")
+    training = "" if training_seed in (None, seed) else f"-training{training_seed}"
+    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}{training}.json")
 
 
 def record_files(folder: Path) -> list[Path]:

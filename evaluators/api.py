@@ -77,12 +77,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class Run:
-    """One training run: an algorithm on a dataset, or on the first ``used`` transitions of it, and where its record goes."""
+    """One training run: an algorithm on a dataset, or on the first ``used`` transitions of it, with a seed, and where its record goes."""
 
     plan: Plan
     dataset: str
     manifest: Manifest
     used: int | None
+    seed: int
     path: Path
 
 
@@ -96,6 +97,7 @@ def evaluate(
     *,
     profile: str = "auto",
     settings: Mapping[str, Any] | None = None,
+    training_seeds: Sequence[int] | None = None,
     steps: int | None = None,
     dataset_id: str | Sequence[str] | None = None,
     dataset_sizes: Sequence[int] | None = None,
@@ -112,18 +114,20 @@ def evaluate(
 ) -> list[Path]:
     """Train offline algorithms on relabelled datasets and write one record for each (algorithm, method, seed, task).
 
-    Datasets that are missing are collected and relabelled first. Offline seed i trains on the dataset of collector seed i. A record that
-    exists for the same data and hyperparameters is kept. A run that was interrupted is continued where its last checkpoint was taken, with
-    the same result as if it had not been.
+    Datasets that are missing are collected and relabelled first. The dataset of collector seed i is trained on with seed i, unless
+    ``training_seeds`` say otherwise. A record that exists for the same data and hyperparameters is kept. A run that was interrupted is
+    continued where its last checkpoint was taken, with the same result as if it had not been.
 
     Args:
         algo: a registered evaluator, or several.
         domain: of the datasets.
         tasks: of the domain; all unless given.
         methods: whose datasets.
-        seeds: of the datasets and of the training.
+        seeds: of the datasets, and of the training unless ``training_seeds`` are given.
         profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``; datasets must be of the same, unless they are imported.
         settings: hyperparameters of the training that differ from the profile, by name.
+        training_seeds: train on each dataset once with each of these. A training's seed is that of its weights, minibatches and noise,
+            and of the initial states of its evaluations. Tables count the trainings on one dataset once, as their mean.
         steps: gradient steps, instead of the profile's; milestones before them stay, and the last step is the last milestone.
         dataset_id: train on this dataset, or these (task-agnostic or relabelled), instead of those of ``methods``; ``seeds`` are then
             their own.
@@ -175,6 +179,8 @@ def evaluate(
     if named is None and custom is None and not check_tasks(facts, tasks):
         raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
     seeds = check_seeds(seeds)
+    if training_seeds is not None:
+        training_seeds = check_seeds(training_seeds)
     if not methods:
         raise UsageError("no method was given; see cudc-bench list.")
     for method in () if named else methods:
@@ -185,10 +191,11 @@ def evaluate(
     for one, manifest in manifests.items():
         check_reward(manifest, one, custom)
     runs = [
-        Run(plan, one, manifest, used, record_path(results, one, plan.algo, manifest.seed, chosen.name, used))
+        _run(plan, one, manifest, used, manifest.seed if seed is None else seed, results)
         for plan in plans
         for one, manifest in manifests.items()
         for used in _used(sizes, one, manifest)
+        for seed in training_seeds or (None,)
     ]
     todo = [run for run in runs if overwrite or not _done(run)]
     for run in runs:
@@ -233,11 +240,16 @@ def evaluate(
     return [run.path for run in runs]
 
 
+def _run(plan: Plan, dataset_id: str, manifest: Manifest, used: int | None, seed: int, results: Path) -> Run:
+    path = record_path(results, dataset_id, plan.algo, manifest.seed, plan.profile, used, seed)
+    return Run(plan, dataset_id, manifest, used, seed, path)
+
+
 def _checkpoints(runs: Sequence[Run], results: Path, device: str, every: float = CHECKPOINT_EVERY) -> Checkpoints:
     """Those of a stack, in a folder that is named by its records."""
     plan = runs[0].plan
     decisive = {
-        "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": [run.manifest.seed for run in runs], "used": runs[0].used,
+        "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": [run.seed for run in runs], "used": runs[0].used,
         "datasets": {run.dataset: run.manifest.fingerprint for run in runs}, "device": device,
         **origin(plugins.package("evaluators", plan.algo)),
     }  # fmt: skip
@@ -264,7 +276,7 @@ def evaluate_members(
     checkpoint_every: float, fresh: bool, overwrite: bool, policies: bool,
 ) -> None:  # fmt: skip
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
-    plan, seeds = runs[0].plan, [run.manifest.seed for run in runs]
+    plan, seeds = runs[0].plan, [run.seed for run in runs]
     facts = check_domain(runs[0].manifest.domain)
     checkpoints = _checkpoints(runs, results, device, checkpoint_every)
     with ExitStack() as stack:
@@ -383,7 +395,12 @@ def _groups(runs: Sequence[Run]) -> list[list[Run]]:
 
 
 def _describe(group: Sequence[Run]) -> str:
-    names = [run.dataset if run.used is None else f"{run.dataset} ({run.used:,})" for run in group]
+    names = [
+        run.dataset
+        + ("" if run.used is None else f" ({run.used:,})")
+        + ("" if run.seed == run.manifest.seed else f" training seed {run.seed}")
+        for run in group
+    ]
     return f"{group[0].plan.algo}: {' + '.join(names) if len(names) < 3 else f'{len(names)} datasets'}"
 
 
@@ -424,10 +441,10 @@ def _done(run: Run) -> bool:
     Raises:
         UsageError: another run stands in its place.
     """
-    return _is_recorded(run.path, run.plan, run.used, lambda dataset: dataset.fingerprint == run.manifest.fingerprint)
+    return _is_recorded(run.path, run.plan, run.used, run.seed, lambda dataset: dataset.fingerprint == run.manifest.fingerprint)
 
 
-def _is_recorded(path: Path, plan: Plan, used: int | None, is_same: Callable[[DatasetReference], bool]) -> bool:
+def _is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Callable[[DatasetReference], bool]) -> bool:
     """Whether a record is there, of this training on the same data.
 
     Raises:
@@ -439,7 +456,8 @@ def _is_recorded(path: Path, plan: Plan, used: int | None, is_same: Callable[[Da
         record = read_record(path)
     except RunError as error:
         raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
-    if (in_full(record.hyperparameters), record.dataset.used) == (plan.values, used) and is_same(record.dataset):
+    made = (in_full(record.hyperparameters), record.dataset.used, record.seed)
+    if made == (plan.values, used, seed) and is_same(record.dataset):
         return True
     raise UsageError(f"{path} records another run (other data or settings); use --overwrite or another --output.")
 
@@ -447,14 +465,15 @@ def _is_recorded(path: Path, plan: Plan, used: int | None, is_same: Callable[[Da
 def plan_evaluate(
     algo: str, domain: str, tasks: Sequence[str] | None, method: str, seeds: Sequence[int], *, profile: str,
     settings: Mapping[str, Any] | None = None, used: int | None = None, output: str | Path = "results",
-    collected: Mapping[str, Any] | None = None,
+    collected: Mapping[str, Any] | None = None, training_seeds: Sequence[int] | None = None,
 ) -> list[Planned]:  # fmt: skip
-    """What :func:`evaluate` would make with the same arguments, for each seed and task; nothing is written, and no dataset need exist.
+    """What :func:`evaluate` would make with the same arguments, for each seed, task and training seed; nothing is written, and no dataset
+    need exist.
 
     A record whose dataset is gone counts if it says that its dataset was collected like this.
 
     Args:
-        algo, domain, tasks, method, seeds, profile, settings, output: as for :func:`evaluate`.
+        algo, domain, tasks, method, seeds, profile, settings, output, training_seeds: as for :func:`evaluate`.
         used: the number of transitions to train on, if not all.
         collected: hyperparameters of the collection that differ from the profile.
 
@@ -469,15 +488,16 @@ def plan_evaluate(
     for seed in check_seeds(seeds):
         for task in check_tasks(check_domain(domain), tasks):
             one = default_id(domain, method, seed).for_task(task)
-            path = record_path(results, str(one), algo, seed, chosen.name, used)
-            if exists(one):
-                run = Run(plan, str(one), read_manifest(one), used, path)
-                # What a process left that was killed just after it had written the record is removed by whoever keeps that.
-                done = _done(run) and not _lock(run, results).exists() and not _checkpoints([run], results, "cpu").folder.exists()
-            else:
-                made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
-                done = _is_recorded(path, plan, used, partial(_is_of, made))
-            found.append(Planned(str(path), seed, plan.loop.gradient_steps, done, plan.overrides))
+            for training_seed in (seed,) if training_seeds is None else check_seeds(training_seeds):
+                path = record_path(results, str(one), algo, seed, chosen.name, used, training_seed)
+                if exists(one):
+                    run = Run(plan, str(one), read_manifest(one), used, training_seed, path)
+                    # What a process left that was killed just after it had written the record is removed by whoever keeps that.
+                    done = _done(run) and not _lock(run, results).exists() and not _checkpoints([run], results, "cpu").folder.exists()
+                else:
+                    made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
+                    done = _is_recorded(path, plan, used, training_seed, partial(_is_of, made))
+                found.append(Planned(str(path), seed, plan.loop.gradient_steps, done, plan.overrides))
     return found
 
 
@@ -506,6 +526,8 @@ def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
         options["--reward"] = manifest.reward.reference
     if run.used is not None:
         options["--dataset-size"] = str(run.used)
+    if run.seed != manifest.seed:
+        options["--training-seeds"] = str(run.seed)
     finals = [Evaluation(step=step, returns=returns) for step, returns in outcome.finals]
     return Record(
         dataset=DatasetReference(
@@ -516,7 +538,7 @@ def _record(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
         algorithm=plan.algo,
         profile=plan.profile,
         overrides=plan.overrides,
-        seed=manifest.seed,
+        seed=run.seed,
         hyperparameters=values,
         hyperparameters_hash=config_hash(values),
         milestones=list(plan.loop.milestones),

@@ -44,6 +44,9 @@ def evaluate(
     profile: ProfileOption = "auto",
     settings: SetOption = None,
     precision: PrecisionOption = None,
+    training_seeds: Annotated[
+        str | None, typer.Option("--training-seeds", help="Train on each dataset once with each of these; its own by default.")
+    ] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, max=10**10, help="Gradient steps, instead of the profile's.")] = None,
     dataset_id: Annotated[str | None, typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.")] = None,
     dataset_size: Annotated[
@@ -69,7 +72,8 @@ def evaluate(
     given = with_precision(parse_settings(settings or []), precision)
     paths = run(
         parse_names(algo), domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
-        settings=given, steps=steps, dataset_id=None if dataset_id is None else parse_names(dataset_id),
+        settings=given, training_seeds=None if training_seeds is None else parse_seeds(training_seeds, "--training-seeds"), steps=steps,
+        dataset_id=None if dataset_id is None else parse_names(dataset_id),
         dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
         device=device, workers=workers, log=log, log_dir=log_dir, policies=policy,
         checkpoint_every=checkpoint_every, fresh=fresh,

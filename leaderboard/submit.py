@@ -164,7 +164,13 @@ def _place(results: Path, record: Record) -> Path:
     assert record.submission is not None
     folder = record.profile if record.group == record.profile else f"{record.profile}-{config_hash({'group': record.group})[:8]}"
     return record_path(
-        results / FOLDER / record.submission.by, record.dataset.id, record.algorithm, record.seed, folder, record.dataset.used
+        results / FOLDER / record.submission.by,
+        record.dataset.id,
+        record.algorithm,
+        record.dataset.seed,
+        folder,
+        record.dataset.used,
+        record.seed,
     )
 
 
@@ -232,10 +238,13 @@ def _about_command(record: Record) -> Iterator[str]:
     expected = {
         "--algo": record.algorithm, "--profile": record.profile, "--domain": record.dataset.domain, "--method": record.dataset.method,
         "--task": record.dataset.task, "--seed": str(record.dataset.seed), "--dataset-id": record.dataset.id,
+        "--training-seeds": str(record.seed),
     }  # fmt: skip
     for option, value in expected.items():
         if option in told and told[option] != value:
             yield f"its command says {option} {told[option]:.80}, and the record {value}."
+    if record.seed != record.dataset.seed and "--training-seeds" not in told:
+        yield f"it was trained with seed {record.seed} on the dataset of seed {record.dataset.seed}, and its command does not say so."
 
 
 def _about_settings(record: Record, profile: Profile, loop: EvaluateConfig) -> Iterator[str]:

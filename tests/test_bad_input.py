@@ -286,6 +286,7 @@ ATTACKS = [
     attack("evaluate --task walk --method random --seed 7 --tasks BAD", some_tasks, "task"),
     attack("evaluate --task walk --method BAD", spoiled_names([*methods, "cudc"]), "method"),
     attack("evaluate --task walk --seeds BAD", bad_seeds, "--seeds cannot"),
+    attack("evaluate --task walk --training-seeds BAD", bad_seeds, "--training-seeds cannot"),
     attack("evaluate --task walk --profile BAD", not_among(profiles), "unknown profile"),
     attack("evaluate --task walk --steps BAD", below_one | beyond, "--steps"),
     attack("evaluate --task walk --set BAD", bad_settings, ""),

@@ -306,4 +306,9 @@ def test_paths_of_different_runs_differ(tmp_path: Path) -> None:
         for profile in ("cpu", "paper")
     ]
     assert len({record_path(tmp_path, *run) for run in runs}) == len(runs)
-    assert record_path(tmp_path, *runs[0]) == tmp_path / "cpu" / "walker" / "walk" / "cudc-v0" / "td3-seed1.json"
+    folder = tmp_path / "cpu" / "walker" / "walk" / "cudc-v0"
+    assert record_path(tmp_path, *runs[0]) == folder / "td3-seed1.json"
+    # By the dataset's seed; a training with another one is told from it by both.
+    assert record_path(tmp_path, *runs[0], training_seed=1) == folder / "td3-seed1.json"
+    assert record_path(tmp_path, *runs[0], training_seed=2) == folder / "td3-seed1-training2.json"
+    assert record_path(tmp_path, *runs[0], 500, 2) == folder / "td3-first500-seed1-training2.json"

@@ -14,9 +14,11 @@ from cudc_bench import interrupts, plugins
 from cudc_bench.checkpoints import Checkpoints
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.evaluators import api
 from cudc_bench.evaluators.api import load_members
 from cudc_bench.evaluators.loop import Arena, run_evaluation
 from cudc_bench.evaluators.policies import load_policy, policy_path
+from cudc_bench.evaluators.rollout import play, recorded_seeds
 from cudc_bench.options import parse_sizes
 from cudc_bench.protocol import EvaluateConfig
 from cudc_bench.records import Record, read_record
@@ -180,8 +182,6 @@ def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole)
 
 
 def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatch):
-    from cudc_bench.evaluators import api
-
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
@@ -243,6 +243,93 @@ def test_the_score_at_the_end_is_the_mean_of_the_last_evaluation_points(smoke, t
 def test_the_larger_evaluations_are_at_the_last_points_after_the_first_update(gradient_steps, every, wanted, points):
     config = EvaluateConfig(gradient_steps=gradient_steps, evaluate_every=every, final_evaluations=wanted)
     assert config.final_points == points
+
+
+# Training seeds
+
+
+def timeless(path: Path) -> str:
+    """A record but for the time that it took."""
+    return json.dumps({name: value for name, value in json.loads(path.read_text()).items() if name not in ("seconds", "created")})
+
+
+def test_a_dataset_is_trained_on_once_with_each_training_seed(smoke, tmp_path):
+    found = evaluated(tmp_path, algo=["bc", "td3"], training_seeds=[1, 5], dataset_sizes=[500, 3000])
+    names = [path.name for path, _ in found]
+    assert names == [
+        *("bc-first500-seed1.json", "bc-first500-seed1-training5.json", "bc-seed1.json", "bc-seed1-training5.json"),
+        *("td3-first500-seed1.json", "td3-first500-seed1-training5.json", "td3-seed1.json", "td3-seed1-training5.json"),
+    ]
+    assert [(record.seed, record.dataset.seed) for _, record in found] == [(1, 1), (5, 1)] * 4
+    assert len({record.dataset.fingerprint for _, record in found}) == 1
+    # Weights, minibatches and the episodes of evaluations: nothing is the same.
+    (_, own), (path, other) = found[-2:]
+    assert all(a.returns != b.returns for a, b in zip(own.curve, other.curve, strict=True))
+    assert all(a.values != b.values for a, b in zip(own.metrics, other.metrics, strict=True))
+    assert "--training-seeds 5" in other.command
+    assert "--training-seeds" not in own.command
+    assert recorded_seeds(other, 2) == [episode_seed(5, "final evaluation", 40, episode) for episode in range(2)]
+    # Each has its own policy, which is that of its seed.
+    assert policy_path(path).exists()
+    observation = torch.randn(1, 24)
+    assert not torch.equal(load_policy(found[-2][0])(observation), load_policy(path)(observation))
+    # Played again it gets what its own record says.
+    (played,) = play(lambda n: None, policy=load_policy(path), seeds=recorded_seeds(other, 1), recorded=other.final.returns)
+    assert played.total == other.final.returns[0] == played.recorded
+
+
+def test_without_training_seeds_nothing_is_different(smoke, tmp_path):
+    ((path, plain),) = evaluated(tmp_path / "plain")
+    ((same, _),) = evaluated(tmp_path / "same", training_seeds=[1])
+    assert (path.name, same.name, plain.seed) == ("td3-seed1.json", "td3-seed1.json", 1)
+    assert timeless(path) == timeless(same)
+    assert "training" not in plain.command
+    # It is one and the same run, which is not made again under another name.
+    content = path.read_bytes()
+    again = evaluated(tmp_path / "plain", training_seeds=[1, 2])
+    assert path.read_bytes() == content
+    assert [one.name for one, _ in again] == ["td3-seed1.json", "td3-seed1-training2.json"]
+
+
+def test_a_training_with_another_seed_is_continued_and_kept_by_itself(smoke, tmp_path, monkeypatch):
+    ((undisturbed, _),) = evaluated(tmp_path / "undisturbed", training_seeds=[7], workers=2)
+    with monkeypatch.context() as patch:
+        patch.setattr("cudc_bench.evaluators.api.write_record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            evaluated(tmp_path, training_seeds=[7], checkpoint_every=0.0)
+    folder = results(tmp_path) / ".checkpoints" / "smoke" / WALK / "td3-seed1-training7"
+    assert len(list(folder.glob("*.pt"))) == 2
+    evaluated(tmp_path)  # another run
+    assert folder.exists()
+    ((path, _),) = evaluated(tmp_path, training_seeds=[7])
+    assert timeless(path) == timeless(undisturbed)
+    assert not folder.parents[4].exists()
+    planned = api.plan_evaluate("td3", "walker", ["walk"], "cudc", [1], profile="smoke", output=results(tmp_path), training_seeds=[1, 7, 8])
+    assert [(Path(one.place).name, one.seed, one.done) for one in planned] == [
+        ("td3-seed1.json", 1, True), ("td3-seed1-training7.json", 1, True), ("td3-seed1-training8.json", 1, False),
+    ]  # fmt: skip
+    # A file that was given another's place is another run.
+    path.rename(path.with_name("td3-seed1-training8.json"))
+    with pytest.raises(UsageError, match="records another run"):
+        evaluated(tmp_path, training_seeds=[8])
+
+
+def test_trainings_in_one_stack_are_those_of_their_seeds(smoke):
+    """As on CUDA: two trainings of one dataset share its arrays, and nothing else."""
+    both, alone = load_members([WALK, WALK], [1, 5], "cpu"), load_members([WALK], [5], "cpu")
+    assert both.observations.shape[0] == 1
+    horizon = torch.ones(2, dtype=torch.int64)
+    drawn, own = both.sample(64, horizon), alone.sample(64, horizon[:1])
+    assert torch.equal(drawn.observation[1:], own.observation)
+    assert torch.equal(drawn.reward[1:], own.reward)
+    assert not torch.equal(drawn.observation[0], drawn.observation[1])
+
+
+def test_training_seeds_that_cannot_be_are_refused(smoke, tmp_path):
+    for seeds, said in (([], "no seed was given"), ([-1], "a seed cannot be -1"), ([2, 2], "the seed 2 was given twice")):
+        with pytest.raises(UsageError, match=said):
+            evaluated(tmp_path, training_seeds=seeds)
+    assert not results(tmp_path).exists()
 
 
 # Policies

@@ -294,6 +294,18 @@ def test_a_run_from_before_there_were_late_evaluations_is_taken_into_a_table_of_
     assert only_problem(lying) == "it has 2 larger evaluations at its end, and by its hyperparameters 1."
 
 
+def test_trainings_with_other_seeds_stand_beside_each_other_and_their_commands_say_so(ground: Path) -> None:
+    other = theirs() | {"seed": 5, "command": theirs()["command"] + " --training-seeds 5"}
+    other["final"]["returns"] = [3.0, 4.0]
+    received = submit(hand_in(theirs(), other), "ann")
+    assert [path.name for path in received.files] == ["td3-seed1.json", "td3-seed1-training5.json"]
+    assert load_records([Path("results")]).problems == ()
+    silent = theirs("icm") | {"seed": 5}
+    assert only_problem(silent) == "it was trained with seed 5 on the dataset of seed 1, and its command does not say so."
+    lying = theirs("icm") | {"command": theirs("icm")["command"] + " --training-seeds 5"}
+    assert only_problem(lying) == "its command says --training-seeds 5, and the record 1."
+
+
 def test_all_or_nothing_with_every_problem_in_a_line(ground: Path) -> None:
     ours(theirs("icm"))
     problems = refused(theirs(), changing("milestones", [40]) | {"created": "2999-01-01"}, theirs(seed=2), {"no": "record"})
