@@ -65,5 +65,8 @@ def test_every_number_is_that_of_the_trainings_means(saved: Callable[[str, Mappi
     assert {name.partition(" ")[0] for name in first} >= {
         "table", "overall", "scores", "variants", "ablation", "k-bound", "controls", "schedule", "sizes", "learners"
     }  # fmt: skip
-    assert first.keys() == second.keys()
-    assert [name for name in first if first[name] != second[name]] == []
+    # What several trainings alone can tell is how much they differ.
+    apart = {name for name in first if name.startswith("variance ")}
+    assert apart
+    assert first.keys() - apart == second.keys()
+    assert [name for name in second if first[name] != second[name]] == []
