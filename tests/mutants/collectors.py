@@ -869,15 +869,8 @@ CUDC = [
             '-torch.expm1(batch.kept["log_found"])',
             '-1.02 * torch.expm1(batch.kept["log_found"])',
             '-torch.expm1(1.02 * batch.kept["log_found"])',
-            '-torch.expm1(batch.kept["log_reachable"])',
             '-batch.kept["log_found"]',
         ),
-        ("older.masked_fill(~there, -torch.inf)", "older"),
-        (
-            "torch.arange(older.shape[-1], device=older.device) < self.keys_seen",
-            "torch.arange(older.shape[-1], device=older.device) <= self.keys_seen",
-        ),
-        ('keys = f["keys"][:, :size]', 'keys = f["keys"].flip(1)[:, :size]'),
         (
             "soft_update(self.projection, self.momentum_projection, self.config.momentum_tau)",
             "soft_update(self.projection, self.momentum_projection, self.config.critic_tau)",
@@ -890,6 +883,13 @@ CUDC = [
     ),
     *mutants(
         "collectors/cudc.py", ("cudc",),
+        ("older.masked_fill(~there, -torch.inf)", "older"),
+        (
+            "torch.arange(older.shape[-1], device=older.device) < self.keys_seen",
+            "torch.arange(older.shape[-1], device=older.device) <= self.keys_seen",
+        ),
+        ('keys = f["keys"][:, :size]', 'keys = f["keys"].flip(1)[:, :size]'),
+        ('-torch.expm1(batch.kept["log_found"])', '-torch.expm1(batch.kept["log_reachable"])'),
         (", keys.transpose(1, 2)) / config.temperature", ", keys.transpose(1, 2)) * config.temperature"),
         ("self.older_keys.transpose(1, 2)) / config.temperature", "self.older_keys.transpose(1, 2))"),
         ("torch.arange(keys.shape[1], device=self.device)) % size", "torch.arange(keys.shape[1], device=self.device)) % size * 0"),
