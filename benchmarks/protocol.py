@@ -36,9 +36,10 @@ profile, steps, *ids = sys.argv[1:]
 torch.set_num_threads(%d)
 settings = {"evaluate_every": steps, "milestones": f"[{steps}]", "evaluation_episodes": 1, "final_episodes": 1}
 (plan,) = api._plans(["td3"], PROFILES[profile], settings, int(steps))
-runs = [api.Run(plan, one, read_manifest(one), None, Path("stacked") / (one.replace("/", "-") + ".json")) for one in ids]
-api.evaluate_members(lambda n: None, runs=runs, device="cpu", reward=None, targets=[None] * len(runs), checkpoints=Path("checkpoints"),
-                     checkpoint_every=1e9, policies=False)
+results, found = Path("stacked"), {one: read_manifest(one) for one in ids}
+runs = [api.Run(plan, one, there, None, there.seed, results / (one.replace("/", "-") + ".json")) for one, there in found.items()]
+api.evaluate_members(lambda n: None, runs=runs, device="cpu", reward=None, targets=[None] * len(runs), results=results,
+                     checkpoint_every=1e9, fresh=False, overwrite=True, policies=False)
 """
 
 

@@ -173,6 +173,42 @@ def test_started_over_it_is_the_same(tmp_path: Path, undisturbed: dict[str, Any]
     assert timeless(path) == undisturbed
 
 
+def test_a_stack_of_all_tasks_and_seeds_makes_the_references_of_its_members_alone(
+    tmp_path: Path, undisturbed: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on CUDA: one training of all of them, which is continued as a whole if it ended before all references were written."""
+    plan = reference._plan("jaco", (LEFT, RIGHT), (1, 2), "smoke", dict(SHORT), tmp_path, "cpu")
+    members = [reference.Member(task, seed) for task in plan.tasks for seed in plan.seeds]
+
+    def train() -> None:
+        reference.train_members(
+            lambda n: None, plan=plan, groups=[members], group=members, targets=[None] * 4, checkpoint_every=0.0, overwrite=False
+        )
+
+    write, calls = reference.write_reference, [0]
+
+    def failing(path: Path, one: Reference) -> None:
+        calls[0] += 1
+        if calls[0] == 2:
+            raise KeyboardInterrupt
+        write(path, one)
+
+    monkeypatch.setattr(reference, "write_reference", failing)
+    with pytest.raises(KeyboardInterrupt):
+        train()
+    assert [path.exists() for path in map(plan.path, plan.tasks)] == [True, False]
+    first = plan.path(LEFT).read_bytes()
+    monkeypatch.setattr(online._Run, "step", lambda run: pytest.fail("it is trained again"))
+    train()
+    assert plan.path(LEFT).read_bytes() == first
+    assert {file for file in tmp_path.rglob("*") if file.is_file()} == {plan.path(LEFT), plan.path(RIGHT)}
+    left, right = (read_reference(plan.path(task)) for task in plan.tasks)
+    assert left.seeds == right.seeds == (1, 2)
+    # Larger matrices round differently, which a simulation amplifies; random actions come from no matrix.
+    assert [run.random for run in left.runs] == [run["random"] for run in undisturbed["runs"]]
+    assert left.runs[0].random != left.runs[1].random != right.runs[1].random
+
+
 def test_what_a_killed_process_left_is_tidied_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("cudc_bench.checkpoints.Checkpoints.remove", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))

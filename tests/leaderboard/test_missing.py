@@ -47,6 +47,14 @@ def test_groups_and_algorithms_ask_nothing_of_each_other(make_record):
     )
 
 
+def test_what_lacks_beside_runs_from_before_is_asked_for_as_they_were_made(make_record):
+    before = [make_record(task=t, hyperparameters={"learning_rate": 1e-3}) for t in TASKS[:3]]
+    (one,) = find_missing(build_tables([*before, *(make_record(task=t) for t in TASKS)])[0])
+    assert one.command == (
+        "cudc-bench evaluate --algo td3 --domain walker --method cudc --tasks flip --seeds 1 --profile cpu --set final_evaluations=1"
+    )
+
+
 def test_imported_datasets_are_not_asked_for(make_record):
     own = [make_record(task=t, seed=s) for t in TASKS for s in (1, 2)]
     assert found(*own, make_record(method="proto", dataset_source="ExORL", dataset_profile="imported")) == []
