@@ -63,6 +63,7 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
         {"reward_after_update": True, "min_dwell": 4} | GROWING,
         {"reward_after_update": True, "keys": 24},
         {"keys": 1024},
+        {"min_dwell": 4, "updates": 10} | GROWING | {"c_w": 0.98},
         {"c_k": 0.7, "min_dwell": 1} | GROWING | {"c_w": 0.9715},
         {"horizon": 4, "w_init": "scaled_identity"},
     ],
@@ -123,11 +124,12 @@ def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     return common | settings
 
 
-def given(name: str, values: dict[str, Any], seed_steps: int = 4000) -> Any:
+def given(name: str, values: dict[str, Any], seed_steps: int = 4000, updates: int = 0) -> Any:
     """A collector whose every weight was moved: nothing is zero, one, or equal to its slow copy by construction."""
     space = replace(SPACES["walker"], seed_steps=seed_steps)
     collector = make(name, SEEDS, space, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
     perturb(collector, scale=0.1, seed=3)
+    collector.updates.fill_(updates)
     return collector.double()
 
 
@@ -204,11 +206,12 @@ def oracle_of(name: str) -> Any:
 def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> None:
     name, settings = run
     oracle, values = oracle_of(name), of_a_run(name, settings)
-    seed_steps = values.pop("seed_steps", 4000)
+    times = {key: values.pop(key) for key in ("seed_steps", "updates") if key in values}
     own = {key: value for key, value in values.items() if key not in AGENT}
     agent = {key: value for key, value in values.items() if key in AGENT} | {"learning_rate": RATE}
     with doubles():
-        collector = given(name, values, seed_steps)
+        collector = given(name, values, **times)
+        assert collector.nearest == (3 if name == "cudc-kmix" else None)
         assert collector.horizon.tolist() == [settings.get("horizon", 6 if name == "apt-k6" else 3)] * len(SEEDS)
         members = [Explorer(collector, e) for e in range(len(SEEDS))]
         seen = watch(collector)

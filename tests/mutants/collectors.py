@@ -1025,7 +1025,6 @@ CUDC = [
     # Numbers of the paper
     *mutants(
         "collectors/cudc.py", ("cudc",),
-        ("k_max: PositiveInt = 6", "k_max: PositiveInt = 5"),
         ("neighbours: PositiveInt = 12", "neighbours: PositiveInt = 11"),
         ("c_k: Fraction = 0.5", "c_k: Fraction = 0.4"),
         ("momentum_tau: Fraction = 0.05", "momentum_tau: Fraction = 0.01"),
@@ -1057,12 +1056,8 @@ CUDC = [
         ),
     ),
     *mutants(
-        "collectors/variants.py", ("cudc-no-vary", "cudc-kmax3"),
-        ('{"k_max": 3}', '{"k_max": 4}'),
-    ),
-    *mutants(
         "collectors/variants.py", ("cudc-no-reach",),
-        ('"k_rule": "error"', '"k_rule": "reward"'),
+        ('"k_rule": "error"', '"k_rule": "uniform"'),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
