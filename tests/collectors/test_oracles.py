@@ -176,7 +176,8 @@ def compare(collector: Any, seen: dict[str, Tensor | None], metrics: dict[str, T
     e, when = member.e, f"update {member.updates}"
     where = f"{when}, member {member.e}: "
     # From a difference of squares, a distance of 0 comes out as the root of float64's rounding.
-    torch.testing.assert_close(seen["reward"][e], found.reward.detach(), rtol=1e-8, atol=5e-8, msg=lambda text: f"{where}the reward: {text}")
+    rewards = seen["reward"][e], found.reward.detach()
+    torch.testing.assert_close(*rewards, rtol=1e-8, atol=5e-8, msg=lambda text: f"{where}the reward: {text}")
     assert (seen["sample_weight"] is None) == (found.weight is None)
     if found.weight is not None:
         assert_same(seen["sample_weight"][e], found.weight, where + "the samples' weight")

@@ -969,7 +969,6 @@ CUDC = [
             "(self.updates - self.last_change) * self.space.update_every > dwell",
         ),
         ("self.k += grow", "self.k += 2 * grow", "self.k += grow.any()"),
-        ("self.last_change.copy_(torch.where(grow, self.updates, self.last_change))", "pass"),
         (
             "getattr(config, _THRESHOLDS[config.k_rule])).float().mean(1)",
             "getattr(config, _THRESHOLDS[config.k_rule])).float().mean()[None].expand(2)",
@@ -983,6 +982,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/cudc.py", ("cudc",),
+        ("self.last_change.copy_(torch.where(grow, self.updates, self.last_change))", "pass"),
         ('{"weight": "w", "reward"', '{"weight": "unclipped", "reward"'),
     ),
     *mutants(
