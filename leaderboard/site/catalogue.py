@@ -226,6 +226,7 @@ def _measured(dataset: Dataset, local: Local) -> list[Exhibit]:
         "density": "Density of the rewards of single steps, a panel for each task; quantiles in the table.",
         "k": "k over environment steps.",
         "losses": "Losses of the collector over environment steps.",
+        "representation": "What shows whether the collector's representation collapses, over environment steps.",
     }
     figures = tuple(Figure(f"{prefix}.{name}.svg", alt) for name, alt in alts.items() if name in local.figures)
     found.append(Exhibit("Measures", grids=tuple(grids), facts=tuple(facts), figures=figures))

@@ -88,7 +88,7 @@ class Local:
     Attributes:
         id, manifest: which.
         quality: what its states are worth, without the particle entropy; None where it has no physics states.
-        figures: SVG by name: ``density``, ``k``, ``losses``, as far as there is something to draw.
+        figures: SVG by name: ``density``, ``k``, ``losses``, ``representation``, as far as there is something to draw.
     """
 
     id: str

@@ -77,7 +77,10 @@ def test_what_runs_once_for_several_runs_for_every_method_and_every_rule_for_k()
     assert set(COSTLY) <= set(dir(CollectorContract))
     methods = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "proto", "random", "rnd", "smm", "apt-ksched"}
     assert methods <= set(COSTLY["test_a_run_that_was_interrupted_ends_as_if_it_had_not_been"])
-    for names in COSTLY.values():
+    for test, names in COSTLY.items():
+        if names == one_each(encoder):
+            assert test == "test_the_representation_does_not_collapse"
+            continue  # which no rule for k shapes
         configs = [make(name).config for name in names]
         assert {one.k_rule for one in configs if hasattr(one, "k_rule")} == {"weight", "reward", "error", "uniform", "normal"}
         assert {"random", "cudc", "cudc-reward", "cudc-kmix"} <= set(names)

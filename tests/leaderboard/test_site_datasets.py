@@ -75,7 +75,7 @@ def test_a_dataset_that_is_here_is_measured(local, tmp_path):
         expected = cudc_bench.load_transitions(f"walker/{task}/cudc-v0").rewards.mean()
         assert one.quality.rewards[task].mean == pytest.approx(expected, rel=1e-5)
     assert one.quality.coverage.coverage_cells == cudc_bench.coverage("walker/cudc-v0").coverage_cells
-    assert set(one.figures) == {"density", "k", "losses"}
+    assert set(one.figures) == {"density", "k", "losses", "representation"}
 
 
 def test_what_was_measured_is_kept_until_something_changes(local, tmp_path, monkeypatch):
