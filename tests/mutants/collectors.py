@@ -1057,7 +1057,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-reach",),
-        ('"k_rule": "error"', '"k_rule": "uniform"'),
+        ('"state_target": "stopgrad", "k_rule": "error"', '"state_target": "live", "k_rule": "error"'),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
