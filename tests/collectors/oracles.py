@@ -57,7 +57,7 @@ class Explorer(Member):
     def __init__(self, collector: Any, e: int, rate: float = 1e-4) -> None:
         super().__init__(collector, e, {}, rate)
         self.rate = rate
-        self.space, self.k, self.updates = collector.space, int(collector.horizon[e]), 0
+        self.space, self.k, self.updates = collector.space, int(collector.horizon[e]), int(collector.updates)
         self.increments: list[dict[str, float]] = []
         self.in_a_row, self.last_change = 0, 0
         self.kept: dict[str, Any] = {}

@@ -969,7 +969,6 @@ CUDC = [
             "(self.updates - self.last_change) * self.space.update_every > dwell",
         ),
         ("self.k += grow", "self.k += 2 * grow", "self.k += grow.any()"),
-        ("self.last_change.copy_(torch.where(grow, self.updates, self.last_change))", "pass"),
         (
             "getattr(config, _THRESHOLDS[config.k_rule])).float().mean(1)",
             "getattr(config, _THRESHOLDS[config.k_rule])).float().mean()[None].expand(2)",
@@ -983,6 +982,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/cudc.py", ("cudc",),
+        ("self.last_change.copy_(torch.where(grow, self.updates, self.last_change))", "pass"),
         ('{"weight": "w", "reward"', '{"weight": "unclipped", "reward"'),
     ),
     *mutants(
@@ -1025,7 +1025,6 @@ CUDC = [
     # Numbers of the paper
     *mutants(
         "collectors/cudc.py", ("cudc",),
-        ("k_max: PositiveInt = 6", "k_max: PositiveInt = 5"),
         ("neighbours: PositiveInt = 12", "neighbours: PositiveInt = 11"),
         ("c_k: Fraction = 0.5", "c_k: Fraction = 0.4"),
         ("momentum_tau: Fraction = 0.05", "momentum_tau: Fraction = 0.01"),
@@ -1057,12 +1056,8 @@ CUDC = [
         ),
     ),
     *mutants(
-        "collectors/variants.py", ("cudc-no-vary", "cudc-kmax3"),
-        ('{"k_max": 3}', '{"k_max": 4}'),
-    ),
-    *mutants(
         "collectors/variants.py", ("cudc-no-reach",),
-        ('"k_rule": "error"', '"k_rule": "reward"'),
+        ('"state_target": "stopgrad", "k_rule": "error"', '"state_target": "live", "k_rule": "error"'),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
