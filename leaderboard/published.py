@@ -17,6 +17,7 @@ from typing import TypeVar
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 
+from .scale import references_caption
 from .table import Cell, Table
 
 CITATION = (
@@ -65,7 +66,7 @@ class PaperTable:
     @property
     def caption(self) -> str:
         """What the numbers are, and that the two columns do not belong in one ranking."""
-        return caption(self.table.group)
+        return caption(self.table.group) + references_caption(self.table.references, self.table.tasks)
 
 
 def caption(group: str) -> str:

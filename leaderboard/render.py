@@ -128,10 +128,12 @@ def paper_to_csv(paper: PaperTable) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["group", "algorithm", "domain", "milestone", "task", "method", "mean", "std", "seeds", "paper_mean", "paper_std",
-                     "difference_in_paper_std"])  # fmt: skip
+                     "difference_in_paper_std", "floor", "ceiling"])  # fmt: skip
     table = paper.table
     for row in paper.rows:
-        values = [row.ours.mean, row.ours.std, row.ours.n, *row.paper, row.difference]
+        bounds = table.references.get(row.task)
+        ends = [bounds.floor, bounds.ceiling] if bounds else [None, None]
+        values = [row.ours.mean, row.ours.std, row.ours.n, *row.paper, row.difference, *ends]
         writer.writerow([table.group, table.algorithm, table.domain, row.milestone, row.task, row.method, *values])
     return text.getvalue()
 

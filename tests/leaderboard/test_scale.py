@@ -20,7 +20,19 @@ from cudc_bench.leaderboard.grid_files import to_csv as grid_to_csv
 from cudc_bench.leaderboard.grid_files import to_markdown as grid_to_markdown
 from cudc_bench.leaderboard.overall import ALL, Overall, build_overall
 from cudc_bench.leaderboard.overall_figures import draw_domains, draw_intervals, draw_profiles
-from cudc_bench.leaderboard.render import overall_to_markdown, overall_to_rich, scores_to_csv, to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.published import beside_paper
+from cudc_bench.leaderboard.render import (
+    overall_to_markdown,
+    overall_to_rich,
+    paper_to_csv,
+    paper_to_latex,
+    paper_to_markdown,
+    scores_to_csv,
+    to_csv,
+    to_latex,
+    to_markdown,
+    to_rich,
+)
 from cudc_bench.leaderboard.scale import BETWEEN, OF_LARGEST, scale_of, serving
 from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.study import SCORE, Study
@@ -380,3 +392,20 @@ def test_a_reference_that_cannot_be_used_is_a_problem_and_stops_nothing(runs: Ca
     assert set(report.tables[0].references) == {"walk"}
     assert report.overall[0].headline.unit == OF_LARGEST
     assert make_leaderboard(next(results.rglob("td3*.json")), None).tables[0].references == {}
+
+
+def test_the_papers_numbers_have_floor_and_ceiling_beside_them(make_record: Callable) -> None:
+    records = [make_record(profile="paper", milestones=[100_000, 500_000], scores=[(0, [0.0]), (100_000, [300.0]), (500_000, [1.0])])]
+    references = {("paper", "walker", "walk"): Bounds(40.0, 45.0, 940.0, 3)}
+    paper, plain = (beside_paper(table_of(records, some)) for some in (references, {}))
+    assert paper is not None
+    assert plain is not None
+    (row,) = [line for line in paper_to_markdown(paper).splitlines() if line.startswith("| walk | cudc | 500 (1) |")]
+    assert row.endswith(" | 40 | 940 |")
+    assert "| difference | floor | ceiling |" in paper_to_markdown(paper)
+    assert "& 40 & 940" in paper_to_latex(paper)
+    assert {line.count("&") for line in paper_to_latex(paper).splitlines() if line.endswith(r"\\")} == {6}
+    assert [one["ceiling"] for one in csv.DictReader(io.StringIO(paper_to_csv(paper)))] == ["940.0"] * 2
+    assert "Floor: mean return of random actions" in paper.caption
+    assert "ceiling" not in paper_to_markdown(plain)
+    assert {line.count("&") for line in paper_to_latex(plain).splitlines() if line.endswith(r"\\")} == {4}
