@@ -82,7 +82,9 @@ def draw_sizes(sizes: Sizes) -> Figure:
             spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
             _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
         panel.set_title("mean score over all tasks")
-        panel.set_ylim(0, 1)
+        # Between floor and ceiling is not all there is.
+        ends = [end for one in sizes.scores.values() for end in ((one.interval.low, one.interval.high) if one.interval else (one.value,))]
+        panel.set_ylim(min(0.0, *ends), max(1.0, *ends))
         _sizes_axis(panel, sizes)
     return figure
 
