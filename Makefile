@@ -7,6 +7,8 @@ FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
 PYTHON ?= $(shell for p in python3 python3.12 python3.11; do $$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
 DEMO := $(CURDIR)/demo
 KILLS ?= 200
+# Tests also wait: for processes that they started, and for the disk. One more than there are cores keeps all of these busy.
+TESTERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-fast lint format screenshots bench torture mutants wheel-check clean
@@ -34,10 +36,10 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@echo "site       $(DEMO)/report/index.html"
 
 test: setup  ## Run the tests.
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n $(TESTERS) --dist worksteal
 
 test-fast: setup  ## Run the tests that take no whole run of anything: two minutes.
-	$(BIN)/pytest -n auto --dist worksteal -m "not slow"
+	$(BIN)/pytest -n $(TESTERS) --dist worksteal -m "not slow"
 
 lint: setup  ## Check style and types.
 	$(BIN)/ruff check .

@@ -55,7 +55,7 @@ COMMANDS = {
     "suite": ["run", "suite.toml", "--checkpoint-every", "0"],
 }  # fmt: skip
 SUITE = """
-methods = ["random", "icm"]
+methods = ["icm"]
 domains = ["jaco"]
 tasks = ["reach_top_left"]
 algos = ["bc"]
@@ -242,6 +242,7 @@ def prepared() -> Iterator[Path]:
         os.environ["MINARI_DATASETS_PATH"] = str(base / "first")
         cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
         cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
+        cudc_bench.make_leaderboard(base / "results", base / "report")
         yield base
 
 

@@ -29,9 +29,12 @@ SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "smm": 4}
 
 
 NAMES = plugins.names("collectors")
-# The chain after a collection knows nothing of a method but its name, its skills and whether it is a study's: of the studied ones
-# CUDC's own alias, one that needs a pilot, and one with code of its own go through all of it. All are collected below.
-CHAINED = [name for name in NAMES if name not in STUDIED - {"cudc-kmax6", "cudc-vary-icm", "apt-ksched"}]
+# The chain after a collection knows nothing of a method but its name, its skills, whether it learns and whether it is a study's: those
+# with skills, two without, and of the studied ones CUDC's own alias, one that needs a pilot, and one with code of its own go through all of
+# it, and whatever else is installed. All are collected below.
+CHAINED = [
+    name for name in NAMES if name in {*SKILLS, "random", "cudc", "cudc-kmax6", "cudc-vary-icm", "apt-ksched"} or name not in OURS | STUDIED
+]
 # One evaluation of one episode, before training and at its end.
 SHORT = {"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"}
 
