@@ -286,8 +286,16 @@ class Interaction(ABC):
                 self._simulate(past)
             if not np.array_equal(self.observations[:, t], state["observation"].cpu().numpy()):
                 raise UnusableError
-        for store, part in zip(self.stores(), state["stores"], strict=True):
-            store.load_state_dict(part)
+        stores = self.stores()
+        empty = [store.state_dict() for store in stores]
+        try:
+            for store, part in zip(stores, state["stores"], strict=True):
+                store.load_state_dict(part)
+        except UnusableError:
+            # Those before it have gone back already, and would keep what this run is about to do again.
+            for store, part in zip(stores, empty, strict=True):
+                store.load_state_dict(part)
+            raise
         self.steps, self.updates, self.metrics = steps, state["updates"], state["metrics"]
         self._learner.load_state_dict(state["learner"])
         self._first_actions.load_state_dict(state["first_actions"])

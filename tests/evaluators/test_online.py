@@ -219,8 +219,10 @@ def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(
     assert resumable(tmp_path / "stopped", square) == whole
 
 
-@pytest.mark.parametrize("damaged", ["checkpoint", "shard"])
-def test_a_run_whose_newest_state_is_damaged_goes_on_from_one_before(damaged: str, tmp_path: Path, square: Domain) -> None:
+@pytest.mark.parametrize("damaged", ["checkpoint", "shard", "all"])
+def test_a_run_whose_newest_state_is_damaged_goes_on_from_one_before(
+    damaged: str, tmp_path: Path, square: Domain, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = resumable(tmp_path / "whole", square)
     folder = tmp_path / "stopped"
     Storing.ask_at = 6  # at the end of the third episode of the second member
@@ -228,9 +230,12 @@ def test_a_run_whose_newest_state_is_damaged_goes_on_from_one_before(damaged: st
         resumable(folder, square)
     kept = sorted(folder.glob("*.pt"))
     assert [int(path.stem) for path in kept] == [100, 150]
-    newest = kept[-1] if damaged == "checkpoint" else max((folder / "0").iterdir())
-    newest.write_bytes(newest.read_bytes()[:-100])
+    # Without its first shard the second member cannot go back to any state; the first one could.
+    hit = {"checkpoint": kept[-1], "shard": max((folder / "0").iterdir()), "all": min((folder / "1").iterdir())}[damaged]
+    hit.write_bytes(hit.read_bytes()[:-100])
+    capsys.readouterr()
     assert resumable(folder, square) == whole
+    assert ("the run starts over" in capsys.readouterr().err) == (damaged == "all")
 
 
 def test_td3_finds_a_corner_that_it_is_rewarded_for(square: Domain) -> None:
