@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measure import Row
-from cudc_bench.parallel import cores
-from cudc_bench.provenance import commit, processor, versions
+from cudc_bench.artefacts.provenance import commit, processor, versions
+from cudc_bench.execution.parallel import cores
 
 NAMES = ("environment", "relabel", "updates", "learners", "precision", "shares", "growth", "whole", "cuda", "protocol", "checkpoints",
          "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip

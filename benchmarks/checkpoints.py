@@ -10,15 +10,14 @@ from typing import Any
 
 from benchmarks.measure import Row
 from cudc_bench import plugins
-from cudc_bench.checkpoints import Checkpoints
-from cudc_bench.collectors.journal import Journal
-from cudc_bench.collectors.loop import _Run as Collection
-from cudc_bench.collectors.setting import settle
+from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.running.loop import _Run as Collection
+from cudc_bench.collectors.running.setting import settle
 from cudc_bench.envs import check_domain
 from cudc_bench.evaluators.contract import batch_for
-from cudc_bench.options import CHECKPOINT_EVERY
-from cudc_bench.profiles import PROFILES
-from cudc_bench.runlog import open_log
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution.runlog import open_log
+from cudc_bench.settings.profiles import PROFILES
 
 PROFILES_MEASURED = ("cpu", "paper")
 STEPS = 24_000  # almost a full shard of episodes that is not on the disk yet

@@ -12,9 +12,9 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.graphs import Updates, graphs_for
-from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Batch, Episodes
+from cudc_bench.learning.cuda_graphs import Updates, graphs_for
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch, Episodes
 
 EPISODES = 100
 TARGETS = {("DDPG", 1): 0.8, ("DDPG", 5): 2.5, ("td3", 20): 5.0}  # milliseconds, for an H200

@@ -45,11 +45,12 @@ def run() -> Iterator[Row]:
 
 
 def _write(dataset: str, steps: int) -> None:
+    from cudc_bench.artefacts.ids import parse_id
+    from cudc_bench.artefacts.manifest import Manifest, fingerprint
+    from cudc_bench.artefacts.provenance import machine, versions
+    from cudc_bench.data.metadata import write_metadata
     from cudc_bench.data.staging import publish, staging
-    from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes, write_metadata
-    from cudc_bench.ids import parse_id
-    from cudc_bench.manifest import Manifest, fingerprint
-    from cudc_bench.provenance import machine, versions
+    from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes
 
     random = np.random.default_rng(0)
     observations = random.normal(size=(1001, 24)).astype(np.float32)

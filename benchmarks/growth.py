@@ -14,11 +14,11 @@ from benchmarks.measure import Row, fastest_interleaved
 from benchmarks.updates import SPACE
 from cudc_bench import plugins
 from cudc_bench.collectors.contract import batch_for
-from cudc_bench.collectors.journal import Journal
-from cudc_bench.networks import MemberRandom
-from cudc_bench.parallel import cores
-from cudc_bench.replay import Episodes
-from cudc_bench.runlog import open_log
+from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.execution.parallel import cores
+from cudc_bench.execution.runlog import open_log
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Episodes
 
 COLLECTED = (10_000, 100_000, 1_000_000)
 LINEAR = 1.15  # at most so much dearer for each unit than in proportion

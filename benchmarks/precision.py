@@ -13,8 +13,8 @@ from benchmarks.measure import Row, fastest_interleaved
 from benchmarks.updates import SPACE, PlainDDPG, batch_for
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.learner import set_precision
-from cudc_bench.parallel import cores
+from cudc_bench.execution.parallel import cores
+from cudc_bench.learning.learner import set_precision
 
 TARGET = 1.7
 

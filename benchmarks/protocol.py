@@ -17,8 +17,8 @@ import cudc_bench
 from benchmarks.measure import Row, fastest_interleaved
 from cudc_bench import plugins
 from cudc_bench.envs import DOMAINS
-from cudc_bench.evaluators.loop import Arena
-from cudc_bench.parallel import cores
+from cudc_bench.evaluators.running.loop import Arena
+from cudc_bench.execution.parallel import cores
 
 EPISODES, TASKS, SEEDS = 10, ("stand", "walk", "run", "flip"), (1, 2, 3, 4, 5)
 # Gradient steps of the comparison, and steps of each dataset; a dataset of the cpu profile has 400,000.
@@ -30,8 +30,8 @@ import sys
 import torch
 from pathlib import Path
 from cudc_bench.evaluators import api
-from cudc_bench.manifest import read_manifest
-from cudc_bench.profiles import PROFILES
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.settings.profiles import PROFILES
 profile, steps, *ids = sys.argv[1:]
 torch.set_num_threads(%d)
 settings = {"evaluate_every": steps, "milestones": f"[{steps}]", "evaluation_episodes": 1, "final_episodes": 1}
@@ -85,7 +85,7 @@ def _stack(profile: str, folder: Path) -> Iterator[Row]:
     command = [
         sys.executable,
         "-m",
-        "cudc_bench.cli",
+        "cudc_bench.cli.app",
         "evaluate",
         "--dataset-id",
         ",".join(ids),

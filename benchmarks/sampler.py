@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import torch
 
 from benchmarks.measure import Row, fastest_interleaved
-from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Episodes
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Episodes
 
 BATCH = 1024
 

@@ -13,7 +13,7 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG, batch_for
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.parallel import cores
+from cudc_bench.execution.parallel import cores
 
 UPDATES = 4
 PRODUCTS, OPTIMISER, REST = "products", "optimiser and targets", "PyTorch's own work"

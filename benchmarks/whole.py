@@ -13,16 +13,16 @@ import torch
 from benchmarks.measure import Row, fastest
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Space
-from cudc_bench.collectors.journal import Journal
-from cudc_bench.collectors.loop import _Run as Collection
-from cudc_bench.collectors.setting import settle
+from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.running.loop import _Run as Collection
+from cudc_bench.collectors.running.setting import settle
 from cudc_bench.envs import DOMAINS, check_domain
 from cudc_bench.evaluators.contract import random_walker_data
-from cudc_bench.evaluators.loop import Arena, run_evaluation
-from cudc_bench.parallel import cores
-from cudc_bench.profiles import PROFILES
-from cudc_bench.protocol import EvaluateConfig
-from cudc_bench.runlog import open_log
+from cudc_bench.evaluators.running.loop import Arena, run_evaluation
+from cudc_bench.execution.parallel import cores
+from cudc_bench.execution.runlog import open_log
+from cudc_bench.settings.evaluate_config import EvaluateConfig
+from cudc_bench.settings.profiles import PROFILES
 
 STEPS = {"cpu": 8_000, "paper": 60}  # measured, after the random ones
 ACT_US = 60

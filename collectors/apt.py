@@ -8,10 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.config import PositiveInt
-from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import MemberRandom, Trained, mlp, trunk
-from cudc_bench.replay import Batch
+from cudc_bench.learning.knn import neighbour_distances
+from cudc_bench.learning.networks import MemberRandom, Trained, mlp, trunk
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
 

@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.config import build
-from cudc_bench.profiles import PAPER_STEPS
-from cudc_bench.replay import Batch
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import build
+from cudc_bench.settings.profiles import PAPER_STEPS
 
 
 @dataclass(frozen=True)

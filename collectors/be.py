@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 
 from torch import Tensor
 
-from cudc_bench.config import LATER, NonNegativeFloat, PositiveFloat
-from cudc_bench.moments import RunningMoments
-from cudc_bench.networks import MemberRandom, Trained
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, Trained
+from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.settings.config import LATER, NonNegativeFloat, PositiveFloat
 
 from .apt import APT, APTConfig
 

@@ -9,11 +9,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from cudc_bench.config import NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.moments import RunningMoments
-from cudc_bench.neighbours import neighbour_distances, normalised_entropy_reward
-from cudc_bench.networks import MemberRandom, Trained, mlp
-from cudc_bench.replay import Batch
+from cudc_bench.learning.knn import neighbour_distances, normalised_entropy_reward
+from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.settings.config import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
 from .diayn import skill_of

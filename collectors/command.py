@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cudc_bench import interrupts
-from cudc_bench.errors import UsageError
-from cudc_bench.options import (
-    CHECKPOINT_EVERY,
-    LOG_DIR,
+from cudc_bench.cli.options import (
     CheckpointEveryOption,
     DatasetIdOption,
     DeviceOption,
@@ -28,9 +24,13 @@ from cudc_bench.options import (
     TasksOption,
     WorkersOption,
     parse_names,
-    parse_seeds,
     with_precision,
 )
+from cudc_bench.errors import UsageError
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution.runlog import LOG_DIR
+from cudc_bench.settings.seeds import parse_seeds
 
 
 @interrupts.leave_well()  # also between two methods
@@ -52,11 +52,11 @@ def collect(
 ) -> None:
     """Explore a domain without rewards and write Minari datasets."""
     from cudc_bench import plugins
-    from cudc_bench.config import parse_settings
     from cudc_bench.envs import check_domain
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
+    from cudc_bench.settings.config import parse_settings
 
-    from .api import collect as run
+    from .running.collect import collect as run
 
     methods = [plugins.check_name("collectors", name) for name in parse_names(method)]
     if not methods:
@@ -94,10 +94,10 @@ def pilot(
     fresh: FreshOption = False,
 ) -> None:
     """Measure the thresholds that some variants of CUDC need."""
-    from cudc_bench.config import parse_settings
+    from cudc_bench.settings.config import parse_settings
 
-    from .pilot import pilot as run
-    from .thresholds import thresholds_path
+    from .running.pilot import pilot as run
+    from .running.thresholds import thresholds_path
 
     names = None if method.strip() == "all" else parse_names(method)
     if names == ():
@@ -121,10 +121,10 @@ def import_exorl(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Turn episode files of ExORL or URLB into a Minari dataset."""
-    from cudc_bench.manifest import read_manifest
-    from cudc_bench.progress import say
+    from cudc_bench.artefacts.manifest import read_manifest
+    from cudc_bench.execution.progress import say
 
-    from .imports import import_exorl as run
+    from .importing.import_exorl import import_exorl as run
 
     methods, tasks, seeds = parse_names(method), parse_names(task), parse_seeds(seed)
     for name, values, most in (("--method", methods, "one"), ("--task", tasks, "at most one"), ("--seed", seeds, "one")):

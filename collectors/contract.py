@@ -28,21 +28,22 @@ import pytest
 import torch
 from torch import Tensor
 
-from cudc_bench import interrupts, plugins
-from cudc_bench.checkpoints import Checkpoints, digest
+from cudc_bench import plugins
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
-from cudc_bench.graphs import WARM_UP, Graph, Updates
-from cudc_bench.networks import MemberRandom
-from cudc_bench.recorded import RecordedGraph
-from cudc_bench.replay import Batch, Episodes
-from cudc_bench.runlog import open_log
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import Checkpoints, digest
+from cudc_bench.execution.runlog import open_log
+from cudc_bench.learning.cpu_graphs import RecordedGraph
+from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updates
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch, Episodes
 
 from .base import Collector, Space
 from .ddpg import DDPG
-from .journal import DIAGNOSTICS, Journal
-from .loop import CollectConfig, run_collection
 from .representation import effective_rank, spread
+from .running.journal import DIAGNOSTICS, Journal
+from .running.loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
 SPACES = {

@@ -16,11 +16,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
-from cudc_bench.manifest import suspect_limits
-from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
-from cudc_bench.replay import Batch
+from cudc_bench.artefacts.manifest import suspect_limits
+from cudc_bench.learning.knn import neighbour_distances
+from cudc_bench.learning.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
 from .representation import action_share, effective_rank, spread

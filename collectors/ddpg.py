@@ -15,19 +15,10 @@ from typing import Any, ClassVar, Literal
 import torch
 from torch import Tensor
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.learner import Learner
-from cudc_bench.networks import (
-    MemberRandom,
-    SharedTrunkCritic,
-    Trained,
-    actor,
-    frozen,
-    make_target,
-    noisy_action,
-    soft_update,
-)
-from cudc_bench.replay import Batch
+from cudc_bench.learning.learner import Learner
+from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trained, actor, frozen, make_target, noisy_action, soft_update
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .base import Collector, Space
 

@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor
 
-from cudc_bench.config import NonNegativeInt
-from cudc_bench.networks import MemberRandom, Trained, mlp
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import NonNegativeInt
 
 from .ddpg import DDPG, DDPGConfig
 

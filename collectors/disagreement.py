@@ -9,8 +9,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from cudc_bench.networks import Ensemble, MemberRandom, Trained, mlp
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import Ensemble, MemberRandom, Trained, mlp
+from cudc_bench.learning.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
 

@@ -8,9 +8,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.config import PositiveFloat
-from cudc_bench.networks import MemberRandom, Trained, mlp
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveFloat
 
 from .ddpg import DDPG, DDPGConfig
 

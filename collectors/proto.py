@@ -9,10 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, PositiveFloat, PositiveInt
-from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import Linear, MemberRandom, Trained, make_target, mlp, soft_update
-from cudc_bench.replay import Batch
+from cudc_bench.learning.knn import neighbour_distances
+from cudc_bench.learning.networks import Linear, MemberRandom, Trained, make_target, mlp, soft_update
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, PositiveFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
 

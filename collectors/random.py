@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch
 
 from .base import Collector, Space
 

@@ -9,9 +9,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.config import Finite, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
-from cudc_bench.networks import Linear, MemberRandom, Trained, mlp
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import Linear, MemberRandom, Trained, mlp
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Finite, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from .ddpg import DDPGConfig
 from .diayn import OneHotSkills, skill_cross_entropy, skill_of

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.config import PositiveInt
-from cudc_bench.networks import MemberRandom, Trained
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, Trained
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveInt
 
 from .apt import APT, APTConfig
 from .cudc import CUDC

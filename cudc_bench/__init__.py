@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 if _TYPE_CHECKING:
-    from cudc_bench.data.reader import Transitions as Transitions
-    from cudc_bench.data.reader import load_transitions as load_transitions
-    from cudc_bench.descriptors import DescriptorCoverage as DescriptorCoverage
-    from cudc_bench.descriptors import coverage as coverage
-    from cudc_bench.exports import to_d3rlpy as to_d3rlpy
-    from cudc_bench.exports import to_torchrl as to_torchrl
-    from cudc_bench.verification import Verification as Verification
-    from cudc_bench.verification import verify as verify
+    from cudc_bench.data.descriptors import DescriptorCoverage as DescriptorCoverage
+    from cudc_bench.data.descriptors import coverage as coverage
+    from cudc_bench.data.exports import to_d3rlpy as to_d3rlpy
+    from cudc_bench.data.exports import to_torchrl as to_torchrl
+    from cudc_bench.data.transitions import Transitions as Transitions
+    from cudc_bench.data.transitions import load_transitions as load_transitions
+    from cudc_bench.data.verification import Verification as Verification
+    from cudc_bench.data.verification import verify as verify
 
 __all__ = [
     "DescriptorCoverage",
@@ -50,6 +50,10 @@ _STAGES = (
     "collect", "pilot", "import_exorl", "relabel", "evaluate", "make_references", "load_policy", "render_policy", "export_policy",
     "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite",
 )  # fmt: skip
+_DATA = {
+    "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",
+    "to_d3rlpy": "exports", "to_torchrl": "exports", "Verification": "verification", "verify": "verification",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> _Any:
@@ -58,22 +62,10 @@ def __getattr__(name: str) -> _Any:
         from cudc_bench import plugins
 
         found = plugins.load("stages", name)
-    elif name in {"Transitions", "load_transitions"}:
-        from cudc_bench.data import reader
+    elif name in _DATA:
+        from importlib import import_module
 
-        found = getattr(reader, name)
-    elif name in {"DescriptorCoverage", "coverage"}:
-        from cudc_bench import descriptors
-
-        found = getattr(descriptors, name)
-    elif name in {"to_d3rlpy", "to_torchrl"}:
-        from cudc_bench import exports
-
-        found = getattr(exports, name)
-    elif name in {"Verification", "verify"}:
-        from cudc_bench import verification
-
-        found = getattr(verification, name)
+        found = getattr(import_module(f"cudc_bench.data.{_DATA[name]}"), name)
     else:
         raise AttributeError(f"module 'cudc_bench' has no attribute '{name}'")
     globals()[name] = found

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import DatasetId, default_id, parse_id
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import DatasetId, default_id, parse_id
-from cudc_bench.manifest import Manifest, exists, read_manifest
-from cudc_bench.profiles import resolve_profile
-from cudc_bench.progress import say
+from cudc_bench.execution.progress import say
+from cudc_bench.settings.profiles import resolve_profile
 
 
 @dataclass(frozen=True)

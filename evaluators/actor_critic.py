@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.learner import Learner
-from cudc_bench.networks import MemberRandom, TwinCritic, actor, frozen, make_target, mlp, noisy_action, soft_update, trunk
-from cudc_bench.replay import Batch
+from cudc_bench.learning.learner import Learner
+from cudc_bench.learning.networks import MemberRandom, TwinCritic, actor, frozen, make_target, mlp, noisy_action, soft_update, trunk
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .base import Evaluator
 

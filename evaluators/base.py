@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.config import build
-from cudc_bench.replay import Batch
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import build
 
 
 class Evaluator(ABC):

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
-from cudc_bench.config import PositiveFloat, PositiveInt
-from cudc_bench.networks import MemberRandom, actor
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, actor
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, normal_log_prob
 

@@ -6,9 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cudc_bench.options import (
-    CHECKPOINT_EVERY,
-    LOG_DIR,
+from cudc_bench.cli.options import (
     AlgoOption,
     CheckpointEveryOption,
     DeviceOption,
@@ -26,11 +24,13 @@ from cudc_bench.options import (
     TasksOption,
     WorkersOption,
     parse_names,
-    parse_seeds,
     parse_sizes,
     parse_tasks,
     with_precision,
 )
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution.runlog import LOG_DIR
+from cudc_bench.settings.seeds import parse_seeds
 
 OutputOption = Annotated[str, typer.Option("--output", help="Folder of the records.")]
 
@@ -64,10 +64,10 @@ def evaluate(
     fresh: FreshOption = False,
 ) -> None:
     """Train offline algorithms on relabelled datasets and record its scores."""
-    from cudc_bench.config import parse_settings
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
+    from cudc_bench.settings.config import parse_settings
 
-    from .api import evaluate as run
+    from .running.evaluate import evaluate as run
 
     given = with_precision(parse_settings(settings or []), precision)
     paths = run(
@@ -100,11 +100,11 @@ def reference(
     fresh: FreshOption = False,
 ) -> None:
     """Measure random actions, and TD3 trained online on tasks: the floor and the ceiling that scores are normalised between."""
-    from cudc_bench.config import parse_settings
-    from cudc_bench.progress import say
-    from cudc_bench.references import read_reference
+    from cudc_bench.artefacts.references import read_reference
+    from cudc_bench.execution.progress import say
+    from cudc_bench.settings.config import parse_settings
 
-    from .reference import make_references
+    from .running.reference import make_references
 
     paths = make_references(
         domain, parse_tasks(tasks), parse_seeds(seeds), profile=profile, settings=with_precision(parse_settings(settings or []), precision),

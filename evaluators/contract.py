@@ -27,15 +27,15 @@ import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
-from cudc_bench.graphs import WARM_UP, Graph, Updates
-from cudc_bench.networks import MemberRandom
-from cudc_bench.protocol import EvaluateConfig
-from cudc_bench.recorded import RecordedGraph
-from cudc_bench.replay import Batch, Episodes
+from cudc_bench.execution.checkpoints import Checkpoints, digest
+from cudc_bench.learning.cpu_graphs import RecordedGraph
+from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updates
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch, Episodes
+from cudc_bench.settings.evaluate_config import EvaluateConfig
 
-from .loop import Arena, Outcome, run_evaluation
+from .running.loop import Arena, Outcome, run_evaluation
 
 SMALL = {"width": 16, "batch_size": 32, "learning_rate": 1e-3}
 # What is proved about the loop is the same for episodes of any length.

@@ -11,9 +11,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.networks import Activation, MemberRandom, mlp, trunk
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import Activation, MemberRandom, mlp, trunk
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import ActorCritic, normal_log_prob, regression
 

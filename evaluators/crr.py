@@ -9,9 +9,9 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
-from cudc_bench.config import PositiveFloat, PositiveInt
-from cudc_bench.networks import noisy_action
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import noisy_action
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveFloat, PositiveInt
 
 from .actor_critic import ActorCritic, ExORLConfig, normal_log_prob
 

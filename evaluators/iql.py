@@ -9,9 +9,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.networks import MemberRandom, TwinCritic, make_target, mlp, soft_update
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, TwinCritic, make_target, mlp, soft_update
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, labels, normal_log_prob, regression
 

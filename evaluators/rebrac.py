@@ -8,9 +8,19 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
-from cudc_bench.networks import Activation, LayerNorm, Linear, MemberRandom, TwinCritic, frozen, make_target, noisy_action, soft_update
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import (
+    Activation,
+    LayerNorm,
+    Linear,
+    MemberRandom,
+    TwinCritic,
+    frozen,
+    make_target,
+    noisy_action,
+    soft_update,
+)
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, labels, regression
 

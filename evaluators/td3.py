@@ -8,9 +8,9 @@ from typing import Any, ClassVar, Literal
 
 from torch import Tensor
 
-from cudc_bench.config import PositiveInt
-from cudc_bench.networks import MemberRandom, make_target, noisy_action, soft_update
-from cudc_bench.replay import Batch
+from cudc_bench.learning.networks import MemberRandom, make_target, noisy_action, soft_update
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import PositiveInt
 
 from .actor_critic import ActorCritic, ExORLConfig
 

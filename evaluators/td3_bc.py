@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from cudc_bench.config import NonNegativeFloat
-from cudc_bench.replay import Batch
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import NonNegativeFloat
 
 from .td3 import TD3, TD3Config
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds, read_references
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
-from cudc_bench.references import Bounds, read_references
+from cudc_bench.text import plain
 
 from .figures import curve_files, draw_bars, figure_files, task_files
 from .files import only
@@ -80,10 +80,10 @@ def make_leaderboard(
     its tables, and its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``,
     ``overall.csv``, ``scores.csv``, ``power.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``.
     Learners side by side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`).
-    Each file is replaced whole. Where a task of a profile has a reference below the results (``cudc_bench.references``), its floor and
-    ceiling and the scores between them are shown, too. The same records and references, and with ``datasets`` the same datasets, give the
-    same bytes. What has not changed since the last build is left alone, and what no record asks for any more is removed (see
-    :mod:`.incremental`).
+    Each file is replaced whole. Where a task of a profile has a reference below the results (see ``cudc_bench.artefacts.references``),
+    its floor and ceiling and the scores between them are shown, too. The same records and references, and with ``datasets`` the same
+    datasets, give the same bytes. What has not changed since the last build is left alone, and what no record asks for any more is removed
+    (see :mod:`.incremental`).
 
     Args:
         results: a record or a folder of records, or several.

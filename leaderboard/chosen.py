@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from cudc_bench.artefacts.ids import datasets_root, parse_id
+from cudc_bench.artefacts.manifest import Manifest, read_manifest, stored_ids
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import datasets_root, parse_id
-from cudc_bench.manifest import Manifest, read_manifest, stored_ids
-from cudc_bench.markup import plain
+from cudc_bench.text import plain
 
 from .files import only
 

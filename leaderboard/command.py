@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli.options import OverwriteOption, parse_names
 from cudc_bench.errors import UsageError
-from cudc_bench.options import OverwriteOption, parse_names
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -26,7 +26,7 @@ def leaderboard(
     """Turn run records into tables, learning curves and a static site."""
     from rich.console import Console
 
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
 
     from . import api
     from .grid_files import to_rich as study_to_rich
@@ -63,7 +63,7 @@ def submit(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Check somebody else's records and add them to ours, marked as theirs."""
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
 
     from .submit import RefusedError
     from .submit import submit as run
@@ -90,7 +90,7 @@ def diagnostics(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Draw how k and the losses of collectors went."""
-    from .diagnostics import draw_diagnostics
+    from .diagnostic_figures import draw_diagnostics
     from .render import diagnostics_to_rich
 
     report = draw_diagnostics(dataset_ids or None, output, domain, _methods(method))
@@ -104,8 +104,7 @@ def stats(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
-    from .quality import measure_quality
-    from .quality_files import to_rich
+    from .quality_files import measure_quality, to_rich
 
     report = measure_quality(dataset_ids or None, output, domain, _methods(method))
     _show(map(to_rich, report.tables), report.remarks, report.files)
@@ -121,7 +120,7 @@ def _methods(text: str | None) -> tuple[str, ...] | None:
 def _show(parts: Iterable[Group], remarks: Iterable[str], files: Iterable[Path]) -> None:
     from rich.console import Console
 
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
 
     screen = Console(highlight=False)
     for part in parts:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
+from cudc_bench.text import plain
 
 from .grid import Column, Entry, Grid, Line, Part
 from .load import short

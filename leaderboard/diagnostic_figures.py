@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from math import floor, log10
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cudc_bench.markup import plain
+from cudc_bench.files import check_folder
+from cudc_bench.text import plain
 
-from .diagnostics import LOSSES, REPRESENTATION, Comparison, series
+from .diagnostics import LOSSES, REPRESENTATION, Comparison, DiagnosticsReport, compare_stored, series
 from .figures import draw_line, figure_files, framed, line_width, looks, seeds_text, steps_axis
+from .files import write_files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -154,3 +157,33 @@ def _scale(panel: Axes, lines: Sequence[Series]) -> None:
     panel.yaxis.set_major_locator(FixedLocator(inside))
     panel.yaxis.set_minor_locator(NullLocator())
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def draw_diagnostics(
+    dataset_ids: str | Sequence[str] | None = None,
+    output: str | Path | None = "report",
+    domain: str | None = None,
+    methods: Sequence[str] | None = None,
+) -> DiagnosticsReport:
+    """Draw k, the losses and the representations of collectors over environment steps, from the diagnostics beside their datasets.
+
+    For each domain and group ``<output>/<slug>/`` gets ``k``, ``losses`` and ``representation`` as ``.svg`` and ``.pdf``, without those
+    that no method has values for; each file is replaced whole. The same datasets give the same bytes.
+
+    Args:
+        dataset_ids: task-agnostic datasets that were collected here; all below the dataset root unless given.
+        output: the folder to write to; None writes nothing.
+        domain, methods: only datasets of that domain, of these methods.
+
+    Raises:
+        UsageError: there is no such dataset, none of that domain or method, or one that was named has no diagnostics (it is labelled or
+            imported); the output cannot be a folder.
+        RunError: a dataset's diagnostics are damaged, or a file could not be written.
+    """
+    folder = None if output is None else check_folder(output, "output")
+    comparisons, remarks = compare_stored(dataset_ids, domain, methods)
+    files: list[Path] = []
+    if folder is not None:
+        for comparison in comparisons:
+            files += write_files(folder / comparison.slug, diagnostic_files(comparison))
+    return DiagnosticsReport(comparisons, remarks, files)

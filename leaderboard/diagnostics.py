@@ -14,16 +14,14 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
+from cudc_bench.artefacts.ids import dataset_path
+from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.records import settings_text
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_regular
-from cudc_bench.ids import dataset_path
-from cudc_bench.manifest import Manifest
-from cudc_bench.markup import plain
-from cudc_bench.options import check_folder
-from cudc_bench.records import settings_text
+from cudc_bench.text import plain
 
 from .chosen import choose
-from .files import write_files
 from .table import METHOD_ORDER, differing, ordered, slug, span
 
 FILE = "diagnostics.jsonl"
@@ -113,41 +111,6 @@ class DiagnosticsReport:
     files: list[Path]
 
 
-def draw_diagnostics(
-    dataset_ids: str | Sequence[str] | None = None,
-    output: str | Path | None = "report",
-    domain: str | None = None,
-    methods: Sequence[str] | None = None,
-) -> DiagnosticsReport:
-    """Draw k, the losses and the representations of collectors over environment steps, from the diagnostics beside their datasets.
-
-    For each domain and group ``<output>/<slug>/`` gets ``k``, ``losses`` and ``representation`` as ``.svg`` and ``.pdf``, without those
-    that no method has values for; each file is replaced whole. The same datasets give the same bytes.
-
-    Args:
-        dataset_ids: task-agnostic datasets that were collected here; all below the dataset root unless given.
-        output: the folder to write to; None writes nothing.
-        domain, methods: only datasets of that domain, of these methods.
-
-    Raises:
-        UsageError: there is no such dataset, none of that domain or method, or one that was named has no diagnostics (it is labelled or
-            imported); the output cannot be a folder.
-        RunError: a dataset's diagnostics are damaged, or a file could not be written.
-    """
-    from .diagnostic_figures import diagnostic_files
-
-    folder = None if output is None else check_folder(output, "output")
-    found, remarks = choose(dataset_ids, domain, methods, others=_is_other, refuse=_refuse, lacks=_lacks, verb="has diagnostics")
-    runs = [Run(one, manifest, *read_diagnostics(one)) for one, manifest in found]
-    comparisons, doubts = compare(runs)
-    files = []
-    for comparison in comparisons:
-        doubts += [f"{comparison.slug}: {absent}" for absent in _absent(comparison)]
-        if folder is not None:
-            files += write_files(folder / comparison.slug, diagnostic_files(comparison))
-    return DiagnosticsReport(comparisons, [*remarks, *doubts], files)
-
-
 def read_diagnostics(dataset_id: str) -> tuple[dict[str, dict[int, float]], int]:
     """The measures of a dataset's diagnostics, as :class:`Run` has them, and the step of the last line.
 
@@ -185,6 +148,26 @@ def read_diagnostics(dataset_id: str) -> tuple[dict[str, dict[int, float]], int]
 def diagnostics_path(dataset_id: str) -> Path:
     """The diagnostics of a dataset, whether there are any or not."""
     return dataset_path(dataset_id) / FILE
+
+
+def compare_stored(
+    dataset_ids: str | Sequence[str] | None = None, domain: str | None = None, methods: Sequence[str] | None = None
+) -> tuple[list[Comparison], list[str]]:
+    """The diagnostics of datasets side by side, and one line for each thing that was left out, is doubtful or absent.
+
+    Args:
+        dataset_ids: task-agnostic datasets that were collected here; all below the dataset root unless given.
+        domain, methods: only datasets of that domain, of these methods.
+
+    Raises:
+        UsageError: there is no such dataset, none of that domain or method, or one that was named has no diagnostics (it is labelled or
+            imported).
+        RunError: a dataset's diagnostics are damaged.
+    """
+    found, remarks = choose(dataset_ids, domain, methods, others=_is_other, refuse=_refuse, lacks=_lacks, verb="has diagnostics")
+    comparisons, doubts = compare([Run(one, manifest, *read_diagnostics(one)) for one, manifest in found])
+    absent = [f"{comparison.slug}: {what}" for comparison in comparisons for what in _absent(comparison)]
+    return comparisons, [*remarks, *doubts, *absent]
 
 
 def compare(runs: Iterable[Run]) -> tuple[list[Comparison], list[str]]:

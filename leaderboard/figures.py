@@ -9,9 +9,9 @@ from statistics import fmean, stdev
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
+from cudc_bench.text import plain
 
 from .load import short
 from .scale import CEILING, FLOOR, MEANING, References

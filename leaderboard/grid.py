@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
 
 from .statistics import Interval
 from .table import Cell

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cudc_bench.markup import escape_markdown, templates
+from cudc_bench.text import escape_markdown, templates
 
 from .grid import Column, Entry, Grid, number
 from .render import escape_latex

@@ -27,9 +27,9 @@ from typing import Any, TypeVar
 
 import cudc_bench
 from cudc_bench.errors import RunError
+from cudc_bench.execution.parallel import cores
+from cudc_bench.execution.progress import bar_if_long
 from cudc_bench.files import remove_empty_above, unwritable, write_atomically
-from cudc_bench.parallel import cores
-from cudc_bench.progress import bar_if_long
 
 from .files import write_files
 

@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.artefacts.records import Record, parse_record, read_content, record_files
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
-from cudc_bench.markup import plain
-from cudc_bench.progress import bar_if_long
-from cudc_bench.provenance import is_own_command
-from cudc_bench.records import Record, parse_record, read_content, record_files
+from cudc_bench.execution.progress import bar_if_long
+from cudc_bench.text import plain
 
 from .plans import canonical
 

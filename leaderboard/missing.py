@@ -6,11 +6,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
 
+from cudc_bench.artefacts.provenance import command_line
+from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.markup import plain
-from cudc_bench.options import format_seeds
-from cudc_bench.provenance import command_line
-from cudc_bench.records import Record
+from cudc_bench.settings.seeds import format_seeds
+from cudc_bench.text import plain
 
 from .load import column, is_own
 from .plans import canonical

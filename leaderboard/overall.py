@@ -7,8 +7,8 @@ What enters a comparison, for one group, algorithm and milestone:
 3. A collector seed of a method enters with all tasks of its domain or not at all, since it is the unit of replication. Several training
    runs on one dataset count once, as their mean.
 
-Scores are returns between the task's floor and its ceiling (:mod:`cudc_bench.references`) if every task of the comparison has a reference,
-and otherwise returns divided by the task's largest possible one. Never both in one comparison.
+Scores are returns between the task's floor and its ceiling (:mod:`cudc_bench.artefacts.references`) if every task of the comparison has a
+reference, and otherwise returns divided by the task's largest possible one. Never both in one comparison.
 
 So methods are always compared on the same tasks; what was left out is said in :attr:`Comparison.left_out`. The numbers of seeds may differ
 between methods, which are independent samples, and between a method's domains: every task weighs the same, however many seeds it has.
@@ -29,10 +29,10 @@ from statistics import fmean
 
 import numpy as np
 
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
-from cudc_bench.references import Bounds
+from cudc_bench.text import plain
 
 from . import statistics
 from .incremental import computed

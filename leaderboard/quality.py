@@ -16,18 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.data.descriptors import DescriptorCoverage, Visits
 from cudc_bench.data.reader import read_episodes
-from cudc_bench.descriptors import DescriptorCoverage, Visits
 from cudc_bench.envs import Domain, check_domain, reward_function
 from cudc_bench.errors import UsageError
-from cudc_bench.manifest import Manifest
-from cudc_bench.markup import plain
-from cudc_bench.options import check_folder
-from cudc_bench.progress import Advance, bars
+from cudc_bench.execution.progress import Advance, bars
+from cudc_bench.text import plain
 
 from .chosen import choose
 from .diagnostics import group_of
-from .files import write_files
 from .table import METHOD_ORDER, ordered, slug
 
 Float32 = NDArray[np.float32]
@@ -131,36 +129,24 @@ class QualityReport:
     files: list[Path]
 
 
-def measure_quality(
-    dataset_ids: str | Sequence[str] | None = None,
-    output: str | Path | None = "report",
-    domain: str | None = None,
-    methods: Sequence[str] | None = None,
-) -> QualityReport:
-    """Measure datasets without training on them: reward density for all tasks, coverage, entropy, statistics of actions.
-
-    For each domain and group ``<output>/<slug>/`` gets ``quality.md``, ``quality.csv``, ``density.svg`` and ``density.pdf``; each file is
-    replaced whole. The same datasets give the same bytes.
+def measure_stored(
+    dataset_ids: str | Sequence[str] | None = None, domain: str | None = None, methods: Sequence[str] | None = None
+) -> tuple[list[QualityTable], list[str]]:
+    """The quality of datasets side by side, and one line for each that was left out.
 
     Args:
         dataset_ids: task-agnostic datasets; all below the dataset root unless given.
-        output: the folder to write to; None writes nothing.
         domain, methods: only datasets of that domain, of these methods.
 
     Raises:
-        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states; the output cannot be a folder.
-        RunError: a dataset is damaged, or a file could not be written.
+        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states.
+        RunError: a dataset is damaged.
     """
-    from .quality_files import quality_files
-
-    folder = None if output is None else check_folder(output, "output")
     found, remarks = choose(
         dataset_ids, domain, methods, others=lambda manifest: manifest.base is not None, refuse=_refuse, lacks=_lacks,
         verb="can be measured",
     )  # fmt: skip
-    tables = _compare(found)
-    files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
-    return QualityReport(tables, remarks, files)
+    return _compare(found), remarks
 
 
 def _refuse(one: str, manifest: Manifest) -> None:

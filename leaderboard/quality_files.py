@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cudc_bench.markup import escape_markdown, plain, templates
+from cudc_bench.files import check_folder
+from cudc_bench.text import escape_markdown, plain, templates
 
 from .figures import figure_files, framed, looks
-from .quality import BINS, QUANTILES, Quality, QualityTable
+from .files import write_files
+from .quality import BINS, QUANTILES, Quality, QualityReport, QualityTable, measure_stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,3 +118,29 @@ def _spread(one: Quality) -> list[str]:
     particle = "–" if one.particle_entropy is None else f"{one.particle_entropy:.2f}"
     correlation = "–" if one.action_correlation is None else f"{one.action_correlation:.2f}"
     return [*coverage, particle, f"{one.action_saturated:.1%}", correlation]
+
+
+def measure_quality(
+    dataset_ids: str | Sequence[str] | None = None,
+    output: str | Path | None = "report",
+    domain: str | None = None,
+    methods: Sequence[str] | None = None,
+) -> QualityReport:
+    """Measure datasets without training on them: reward density for all tasks, coverage, entropy, statistics of actions.
+
+    For each domain and group ``<output>/<slug>/`` gets ``quality.md``, ``quality.csv``, ``density.svg`` and ``density.pdf``; each file is
+    replaced whole. The same datasets give the same bytes.
+
+    Args:
+        dataset_ids: task-agnostic datasets; all below the dataset root unless given.
+        output: the folder to write to; None writes nothing.
+        domain, methods: only datasets of that domain, of these methods.
+
+    Raises:
+        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states; the output cannot be a folder.
+        RunError: a dataset is damaged, or a file could not be written.
+    """
+    folder = None if output is None else check_folder(output, "output")
+    tables, remarks = measure_stored(dataset_ids, domain, methods)
+    files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
+    return QualityReport(tables, remarks, files)

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cudc_bench.markup import escape_markdown, plain, templates
-from cudc_bench.references import Bounds
+from cudc_bench.artefacts.references import Bounds
+from cudc_bench.text import escape_markdown, plain, templates
 
 from .diagnostics import Comparison
 from .load import short

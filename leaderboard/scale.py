@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.protocol import in_full
-from cudc_bench.records import Record
-from cudc_bench.references import Bounds
+from cudc_bench.settings.evaluate_config import in_full
 
 from .load import extent
 from .statistics import Floats

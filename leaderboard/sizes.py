@@ -9,14 +9,13 @@ it is. Each collector seed has an area of its own; means and intervals are over 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
+from cudc_bench.text import plain
 
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .load import column, is_own, short
@@ -27,6 +26,7 @@ from .study import (
     SCORE,
     ByTask,
     Scales,
+    Sizes,
     Study,
     known_tasks,
     of_seeds,
@@ -47,34 +47,6 @@ AREA_TEXT = (
 
 
 _WHOLE = " They are those of the whole datasets' profile at every size: neither is trained on a part of a dataset."
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Scores over dataset sizes, for figures.
-
-    Attributes:
-        group, algorithm, domain: which; ``group`` on one line.
-        milestone: after so many gradient steps.
-        methods, tasks, sizes: what there is.
-        cells: result by size, task and method.
-        scores: mean score over the domain's tasks by size and method, where there is one.
-        seeds: how many there are, in words.
-        references: of the whole datasets' profile, by task; they serve every size, since neither random actions nor an agent that is
-            trained online is trained on a part of anything.
-    """
-
-    group: str
-    algorithm: str
-    domain: str
-    milestone: int
-    methods: tuple[str, ...]
-    tasks: tuple[str, ...]
-    sizes: tuple[int, ...]
-    cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
-    scores: Mapping[tuple[int, str], Entry] = field(repr=False)
-    seeds: str
-    references: References = field(default_factory=dict, repr=False)
 
 
 def area_weights(sizes: Sequence[int]) -> Floats:

@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
+from cudc_bench.text import plain
 
 from . import statistics
 from .components import build_components

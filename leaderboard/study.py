@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.options import format_seeds
-from cudc_bench.records import Record
-from cudc_bench.references import Bounds
+from cudc_bench.settings.seeds import format_seeds
 
 from . import statistics
 from .figures import figure_files
@@ -20,7 +20,7 @@ from .load import is_own
 from .missing import Wanted
 from .scale import BETWEEN, CEILING, FLOOR, LABELS, OF_LARGEST, References, Scale, references_caption, scale_of
 from .statistics import Floats
-from .table import commands, scores_by_seed
+from .table import Cell, commands, scores_by_seed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -190,3 +190,31 @@ def alias_notes(label: str, records: Sequence[Record]) -> list[str]:
         f"{label}: seeds {format_seeds(sorted(seeds))} are runs of {name}, another name of the same setting."
         for name, seeds in sorted(others.items())
     ]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Scores over dataset sizes, for figures.
+
+    Attributes:
+        group, algorithm, domain: which; ``group`` on one line.
+        milestone: after so many gradient steps.
+        methods, tasks, sizes: what there is.
+        cells: result by size, task and method.
+        scores: mean score over the domain's tasks by size and method, where there is one.
+        seeds: how many there are, in words.
+        references: of the whole datasets' profile, by task; they serve every size, since neither random actions nor an agent that is
+            trained online is trained on a part of anything.
+    """
+
+    group: str
+    algorithm: str
+    domain: str
+    milestone: int
+    methods: tuple[str, ...]
+    tasks: tuple[str, ...]
+    sizes: tuple[int, ...]
+    cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
+    scores: Mapping[tuple[int, str], Entry] = field(repr=False)
+    seeds: str
+    references: References = field(default_factory=dict, repr=False)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .sizes import Sizes
+    from .study import Sizes
 
 _COLUMNS = 4
 # Milestones are told apart by marker and lightness: all of them are CUDC.

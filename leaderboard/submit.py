@@ -21,17 +21,18 @@ from typing import Any
 from pydantic import ValidationError
 
 from cudc_bench import plugins
-from cudc_bench.config import as_dict, build, config_hash
-from cudc_bench.envs.domains import DOMAINS, check_domain, check_tasks
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.artefacts.manifest import IMPORTED_PROFILE
+from cudc_bench.artefacts.provenance import knows_commit
+from cudc_bench.artefacts.records import Record, Submission, parse_record, read_content, record_path, settings_text, to_json
+from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.registry import check_domain, check_tasks
 from cudc_bench.errors import CudcBenchError, RunError, UsageError, nearest
 from cudc_bench.files import check_folder, check_path, remove_empty_above, unwritable, write_atomically
-from cudc_bench.ids import parse_id
-from cudc_bench.manifest import IMPORTED_PROFILE
-from cudc_bench.markup import plain
-from cudc_bench.profiles import PAPER_STEPS, PROFILES, Profile
-from cudc_bench.protocol import EvaluateConfig, check_milestones, in_full, plain_values
-from cudc_bench.provenance import knows_commit
-from cudc_bench.records import Record, Submission, parse_record, read_content, record_path, settings_text, to_json
+from cudc_bench.settings.config import as_dict, build, config_hash
+from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones, in_full, plain_values
+from cudc_bench.settings.profiles import PAPER_STEPS, PROFILES, Profile
+from cudc_bench.text import plain
 
 from .load import created, files, impossible, read_all
 from .table import origins

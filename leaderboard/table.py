@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 from statistics import fmean, stdev
 from typing import Any
 
+from cudc_bench.artefacts.ids import domain_slug
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.ids import domain_slug
-from cudc_bench.protocol import in_full
-from cudc_bench.records import Record
-from cudc_bench.references import Bounds
+from cudc_bench.settings.evaluate_config import in_full
 
 from .load import column, extent, plain, short, submitted_columns
 from .plans import STUDY_METHODS, canonical
@@ -269,7 +269,7 @@ def build_blocks(
 
     Args:
         records: of any group.
-        references: by profile, domain and task, as ``cudc_bench.references.read_references`` returns them.
+        references: by profile, domain and task, as ``cudc_bench.artefacts.references.read_references`` returns them.
 
     Returns:
         The blocks, by domain, algorithm and group, and one line for each problem.

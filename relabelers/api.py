@@ -12,20 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench import interrupts, plugins
+from cudc_bench import plugins
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
+from cudc_bench.artefacts.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
+from cudc_bench.artefacts.provenance import command_line, origin, stamp
+from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
 from cudc_bench.data.statistics import Coverage, measure_coverage
-from cudc_bench.data.writer import MAIN_FILE, write_metadata
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import remove_empty, unwritable
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
-from cudc_bench.options import CHECKPOINT_EVERY, check_folder
-from cudc_bench.progress import bars, say
-from cudc_bench.provenance import command_line, origin, stamp
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution.progress import bars, say
+from cudc_bench.files import check_folder, remove_empty, unwritable
 
 from .linked import write_linked
 
@@ -167,7 +169,7 @@ def _keep(folder: Path, decisive: dict[str, Any], rewards: list[NDArray[np.float
     # Only a run that lasts needs them, and with them PyTorch.
     import torch
 
-    from cudc_bench.checkpoints import Checkpoints
+    from cudc_bench.execution.checkpoints import Checkpoints
 
     Checkpoints(folder, decisive).save(len(rewards), {"rewards": [torch.from_numpy(one) for one in rewards]})
 
@@ -175,7 +177,7 @@ def _keep(folder: Path, decisive: dict[str, Any], rewards: list[NDArray[np.float
 def _resume(folder: Path, decisive: dict[str, Any]) -> list[NDArray[np.float32]]:
     found: list[NDArray[np.float32]] = []
     if folder.exists():
-        from cudc_bench.checkpoints import Checkpoints
+        from cudc_bench.execution.checkpoints import Checkpoints
 
         checkpoints = Checkpoints(folder, decisive)
         checkpoints.load(lambda _, state: found.extend(one.numpy() for one in state["rewards"]))

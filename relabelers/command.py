@@ -6,9 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cudc_bench import interrupts
-from cudc_bench.errors import UsageError
-from cudc_bench.options import (
+from cudc_bench.cli.options import (
     DomainOption,
     MethodOption,
     OverwriteOption,
@@ -18,9 +16,11 @@ from cudc_bench.options import (
     TasksOption,
     WorkersOption,
     parse_names,
-    parse_seeds,
     parse_tasks,
 )
+from cudc_bench.errors import UsageError
+from cudc_bench.execution import interrupts
+from cudc_bench.settings.seeds import parse_seeds
 
 
 @interrupts.leave_well()  # also between two datasets
@@ -39,13 +39,13 @@ def relabel(
     workers: WorkersOption = None,
 ) -> None:
     """Compute the rewards of tasks from stored physics states."""
+    from cudc_bench.artefacts.ids import default_id
+    from cudc_bench.artefacts.manifest import check_free, exists
     from cudc_bench.envs import check_domain, check_tasks
     from cudc_bench.envs.rewards import load_reward
-    from cudc_bench.ids import default_id
-    from cudc_bench.manifest import check_free, exists
-    from cudc_bench.parallel import worker_count
-    from cudc_bench.profiles import resolve_profile
-    from cudc_bench.progress import say
+    from cudc_bench.execution.parallel import worker_count
+    from cudc_bench.execution.progress import say
+    from cudc_bench.settings.profiles import resolve_profile
     from cudc_bench.stages import check_collected, ensure_collected
 
     from .api import relabel as run

@@ -9,8 +9,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.data.layout import MAIN_FILE
 from cudc_bench.data.storage import LINKED, READ_ERRORS, check_copy
-from cudc_bench.data.writer import MAIN_FILE, new_file, write_contiguous, write_episode_attributes
+from cudc_bench.data.writer import new_file, write_contiguous, write_episode_attributes
 from cudc_bench.errors import RunError
 
 

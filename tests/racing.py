@@ -21,9 +21,10 @@ from typing import IO
 import torch
 
 import cudc_bench
-from cudc_bench import cli, locks
+from cudc_bench.artefacts.records import read_record
+from cudc_bench.cli import app as cli
 from cudc_bench.data.reader import verify_fingerprint
-from cudc_bench.records import read_record
+from cudc_bench.execution import locks
 
 from .smalldisk import Ended, forked
 

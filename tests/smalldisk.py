@@ -149,7 +149,7 @@ def serve(folder: Path) -> None:
     import torch
 
     import cudc_bench
-    from cudc_bench import cli
+    from cudc_bench.cli import app as cli
 
     torch.set_num_threads(1)
     # What a process has imported once, those forked from it need not import again.

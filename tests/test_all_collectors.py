@@ -11,8 +11,8 @@ import pytest
 
 import cudc_bench
 from cudc_bench import plugins
-from cudc_bench.manifest import read_manifest
-from cudc_bench.records import read_record
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
 
 OURS = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "proto", "random", "rnd", "smm"}
 STUDIED = {

@@ -17,13 +17,19 @@ ROOT = Path(cudc_bench.__file__).resolve().parent.parent
 STAGES = ("collectors", "relabelers", "evaluators", "leaderboard")
 CORE = sorted((ROOT / "cudc_bench").rglob("*.py"))
 SOURCES = {path: stage for stage in STAGES for path in sorted((ROOT / stage).rglob("*.py"))} | dict.fromkeys(CORE, "core")
-DATA = [path for path in CORE if path.parent.name == "data" or path.name in {"ids.py", "manifest.py", "records.py"}]
-# Of the stages whose methods are one file each, the files that are none.
-OTHERS = {
-    "api", "command", "contract", "exorl", "exporting", "imports", "journal", "loop", "online", "pilot", "policies", "policy_commands",
-    "reference", "rendering", "representation", "rollout", "setting", "thresholds", "video", "__init__",
-}  # fmt: skip
-METHODS = [path for path, stage in SOURCES.items() if stage in {"collectors", "evaluators"} and path.stem not in OTHERS]
+# Of these, two have tensors for those who ask for them.
+DATA = [path for path in CORE if path.parent.name in {"data", "artefacts"} and path.stem not in {"transitions", "exports"}]
+# Of the stages with methods: their own files, and what they are made of. The rest of a stage has folders of its own.
+METHODS = [
+    path
+    for path, stage in SOURCES.items()
+    if stage in {"collectors", "evaluators"} and path.parent == ROOT / stage and path.stem not in {"__init__", "command", "contract"}
+]
+# The rooms of the core, the lowest first: each may import those before it. The four stages stand above all but ``suites``.
+ROOMS = (
+    "errors", "files", "text", "plugins", "settings", "artefacts", "execution", "learning", "envs", "data", "runs", "cli", "stages",
+    "suites",
+)  # fmt: skip
 ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get
 
 
@@ -52,6 +58,21 @@ def imports(path: Path) -> set[str]:
     """Every module that a file imports anywhere, functions included, with relative imports resolved."""
     module, package = module_of(path), path.name == "__init__.py"
     return {name for node in ast.walk(ast.parse(path.read_text())) for name in resolved(module, package, node)}
+
+
+NAMED = {module_of(path): path for path in SOURCES}
+
+
+def needed(path: Path) -> set[str]:
+    """The modules of the project that a file imports anywhere; of packages those whose own file it needs."""
+    module, package = module_of(path), path.name == "__init__.py"
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        base, *names = resolved(module, package, node) or [""]
+        found |= {name for name in names if name in NAMED} if isinstance(node, ast.ImportFrom) else {base, *names} & set(NAMED)
+        if isinstance(node, ast.ImportFrom) and base in NAMED and not all(name in NAMED for name in names):
+            found.add(base)
+    return found - {module}
 
 
 def stages_in(names: set[str]) -> set[str]:
@@ -94,6 +115,28 @@ def test_there_is_something_to_check() -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=ids)
 def test_a_stage_imports_the_core_and_itself_and_the_core_no_stage(path: Path) -> None:
     assert stages_in(imports(path)) <= {SOURCES[path]}
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else ""
+
+
+@pytest.mark.parametrize("path", [path for path in CORE if room_of(module_of(path))], ids=ids)
+def test_a_room_imports_only_those_below_it(path: Path) -> None:
+    """But for the package's own file, which offers what lies in all of them."""
+    below = ROOMS[: ROOMS.index(room_of(module_of(path))) + 1]
+    assert {room_of(name) for name in needed(path)} <= {*below, ""}
+
+
+def test_no_module_needs_itself_through_others() -> None:
+    """Neither when it is imported, nor later, nor for the checker of types alone."""
+    left = {module_of(path): needed(path) for path in SOURCES}
+    del left["cudc_bench"]  # offers what is deeper in, and imports it when somebody asks
+    while free := [module for module, needs in left.items() if not needs & set(left)]:
+        for module in free:
+            del left[module]
+    # What is left needs each other; some only because they need one that does.
+    assert sorted(left) == []
 
 
 @pytest.mark.parametrize("path", [path for path, stage in SOURCES.items() if stage != "core"], ids=ids)
@@ -175,8 +218,11 @@ def test_what_is_registered_is_what_the_project_declares() -> None:
         assert set(declared[f"cudc_bench.{kind}"]) <= set(plugins.names(kind))
 
 
+STAGED = [name for name in plugins.names("stages") if name in cudc_bench.__all__]
+
+
 # Importing a subpackage makes it an attribute of the package, whatever stood there: no function may share its name.
-@pytest.mark.parametrize("first", ["", *(f"import cudc_bench.{stage}.api" for stage in STAGES)])
+@pytest.mark.parametrize("first", ["", *(f"import {module}" for module in sorted({plugins.target("stages", name)[0] for name in STAGED}))])
 def test_public_names_are_there(first: str, python: Callable) -> None:
     script = f"""
 {first}

@@ -15,9 +15,9 @@ import pytest
 
 import cudc_bench
 from cudc_bench import plugins
-from cudc_bench.cli import main
-from cudc_bench.manifest import KEY, metadata_path, read_manifest
-from cudc_bench.records import read_record
+from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
+from cudc_bench.artefacts.records import read_record
+from cudc_bench.cli.app.app import main
 
 from .conftest import Finished
 from .waiting import PATIENCE, wait_for
@@ -109,7 +109,7 @@ def tree(*places: Path) -> dict[Path, bytes | None]:
 def test_help_imports_nothing_heavy(arguments: list[str], python: Callable) -> None:
     script = f"""
 import sys
-from cudc_bench.cli import main
+from cudc_bench.cli.app import main
 try:
     main({arguments!r})
 finally:

@@ -14,8 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cudc_bench import plugins
-from cudc_bench.collectors.loop import CollectConfig
-from cudc_bench.config import (
+from cudc_bench.cli.options import parse_names, parse_tasks
+from cudc_bench.collectors.running.loop import CollectConfig
+from cudc_bench.errors import UsageError
+from cudc_bench.files import check_folder
+from cudc_bench.settings.config import (
     Fraction,
     NonNegativeFloat,
     NonNegativeInt,
@@ -28,9 +31,8 @@ from cudc_bench.config import (
     field_names,
     parse_settings,
 )
-from cudc_bench.errors import UsageError
-from cudc_bench.options import check_folder, format_seeds, parse_names, parse_seeds, parse_tasks
-from cudc_bench.protocol import EvaluateConfig
+from cudc_bench.settings.evaluate_config import EvaluateConfig
+from cudc_bench.settings.seeds import format_seeds, parse_seeds
 
 CONFIGS = [
     CollectConfig,

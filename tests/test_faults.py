@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench import cli as command_line
-from cudc_bench import interrupts
-from cudc_bench.collectors import loop
-from cudc_bench.data.reader import load_transitions, verify_fingerprint
+from cudc_bench.artefacts.manifest import metadata_path, read_manifest
+from cudc_bench.cli import app as command_line
+from cudc_bench.collectors.running import loop
+from cudc_bench.data.reader import verify_fingerprint
+from cudc_bench.data.transitions import load_transitions
 from cudc_bench.envs.walker import Walker
 from cudc_bench.errors import RunError
-from cudc_bench.manifest import metadata_path, read_manifest
+from cudc_bench.execution import interrupts
 
 from .smalldisk import ROOT, Ended, SmallDisk
 from .waiting import PATIENCE
@@ -344,7 +345,7 @@ def test_an_evaluation_goes_on_from_the_checkpoint_that_is_whole(
     evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--checkpoint-every", "0")
     name = "smoke/walker/walk/cudc-v0/td3-seed1.json"
     assert main(*evaluate, "--output", "undisturbed").code == 0
-    from cudc_bench.evaluators import api
+    from cudc_bench.evaluators.running import evaluate as api
 
     with monkeypatch.context() as patch:
         patch.setattr(api, "write_record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
@@ -728,8 +729,8 @@ def test_the_lock_of_a_dead_process_is_taken_over(main: Callable, three: list) -
 
 def test_who_comes_when_another_is_done_keeps_what_is_there(main: Callable, three: list, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also who looked when it was not there yet."""
-    from cudc_bench.collectors import api as collecting
-    from cudc_bench.evaluators import api as evaluating
+    from cudc_bench.collectors.running import collect as collecting
+    from cudc_bench.evaluators.running import evaluate as evaluating
     from cudc_bench.relabelers import api as relabelling
 
     doors = [(collecting, "run_jobs"), (relabelling, "say"), (evaluating, "run_jobs")]  # behind the first look

@@ -17,8 +17,8 @@ import minari
 import pytest
 
 import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import verify_fingerprint
-from cudc_bench.manifest import read_manifest
 
 from .killing import CALLS
 from .waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for

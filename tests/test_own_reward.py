@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
 from cudc_bench.envs import DOMAINS, make_simulators
 from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.manifest import read_manifest
-from cudc_bench.records import read_record
 
 MODULE = '''
 import numpy as np

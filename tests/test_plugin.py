@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import cudc_bench
-from cudc_bench.ids import parse_id
-from cudc_bench.manifest import read_manifest
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.artefacts.manifest import read_manifest
 
 from .waiting import PATIENCE
 

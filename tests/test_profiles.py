@@ -10,12 +10,12 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Space
-from cudc_bench.collectors.loop import CollectConfig
-from cudc_bench.config import as_dict, build, config_hash, field_names
+from cudc_bench.collectors.running.loop import CollectConfig
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import UsageError
-from cudc_bench.profiles import PROFILES, Profile, resolve_device, resolve_profile
-from cudc_bench.protocol import EvaluateConfig, check_milestones
+from cudc_bench.settings.config import as_dict, build, config_hash, field_names
+from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones
+from cudc_bench.settings.profiles import PROFILES, Profile, resolve_device, resolve_profile
 
 COLLECTORS = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
 EVALUATORS = {name: plugins.load("evaluators", name) for name in plugins.names("evaluators")}

@@ -11,17 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path, write_record
 from cudc_bench.errors import RunError
 from cudc_bench.files import write_atomically
-from cudc_bench.records import (
-    DatasetReference,
-    Evaluation,
-    Record,
-    TrainingMetrics,
-    read_record,
-    record_path,
-    write_record,
-)
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 name = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,63}", fullmatch=True)

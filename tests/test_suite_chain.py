@@ -12,9 +12,9 @@ import pytest
 from dm_control import suite
 
 import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
 from cudc_bench.errors import UsageError
-from cudc_bench.manifest import read_manifest
-from cudc_bench.records import read_record
 
 DOMAIN = "dm_control/cheetah-run"
 BASE, LABELLED = "dm_control/cheetah_run/random-v0", "dm_control/cheetah_run/run/random-v0"

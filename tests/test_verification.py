@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import cudc_bench
-from cudc_bench.cli import main
+from cudc_bench.artefacts.manifest import KEY, FieldHasher, fingerprint, read_manifest
+from cudc_bench.cli.app.app import main
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.manifest import KEY, FieldHasher, fingerprint, read_manifest
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")

@@ -12,10 +12,10 @@ from typing import Any
 
 from markupsafe import Markup
 
+from cudc_bench.artefacts.manifest import Manifest, suspect_limits
 from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
 from cudc_bench.envs.domains import Domain, domain_title
-from cudc_bench.manifest import Manifest, suspect_limits
-from cudc_bench.markup import escape_markdown, plain, templates
+from cudc_bench.text import escape_markdown, plain, templates
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"), (10**8, "10M<n<100M"))
 

@@ -15,16 +15,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
+from cudc_bench.artefacts.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
+from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.storage import READ_ERRORS, check_links, file_size, open_field, row_kinds
-from cudc_bench.data.writer import MAIN_FILE
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 from cudc_bench.files import check_regular
-from cudc_bench.ids import DatasetId, dataset_path, parse_id
-from cudc_bench.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
 
 if TYPE_CHECKING:
-    from cudc_bench.exports import TensorTransitions
+    pass
 
 Array = NDArray[Any]
 
@@ -51,51 +51,6 @@ class FlatEpisodes:
     def split(self, name: str) -> list[Array]:
         """A field's array cut into its episodes, without copying."""
         return np.split(self.arrays[name], np.cumsum(self.rows(name))[:-1])
-
-
-@dataclass(frozen=True)
-class Transitions:
-    """One-step transitions of N steps in collection order; row i never crosses an episode's end.
-
-    Attributes:
-        observations: s (N, S) float32.
-        actions: a (N, A) float32.
-        rewards: r (N,) float32; zeros in a task-agnostic dataset.
-        next_observations: s' (N, S) float32.
-        terminations: (N,) bool, always False in these domains.
-        truncations: (N,) bool, True at the last step of each episode.
-        episodes: (N,) int64, the episode of each row.
-    """
-
-    observations: Array
-    actions: Array
-    rewards: Array
-    next_observations: Array
-    terminations: Array
-    truncations: Array
-    episodes: Array
-
-    def __len__(self) -> int:
-        return len(self.rewards)
-
-    def to_torch(self, device: Any = "cpu") -> TensorTransitions:
-        """The same as torch tensors, field by field, with the same shapes and types.
-
-        Args:
-            device: ``"cpu"``, ``"cuda"``, ``"auto"``, or any other that torch knows. On the CPU the tensors share these arrays' memory.
-
-        Raises:
-            UsageError: there is no such device here.
-        """
-        # Elsewhere, so that reading data needs no torch.
-        from cudc_bench import exports
-
-        return exports.to_torch(self, device)
-
-
-def has_reset_row(name: str) -> bool:
-    """Whether a field has one row more than the episode has steps."""
-    return name == "observations" or name.startswith("infos/")
 
 
 def load_episodes(dataset_id: DatasetId | str, fields: tuple[str, ...], root: Path | None = None, verify: bool = False) -> FlatEpisodes:
@@ -285,38 +240,6 @@ def check_base(manifest: Manifest, dataset_id: DatasetId, root: Path | None = No
         raise RunError(f"'{dataset_id}' links to '{base.id}', which holds no data of its own; relabel again with --overwrite.")
     if there.fingerprint != base.fingerprint:
         raise RunError(f"'{dataset_id}' was made from another '{base.id}'; relabel again with --overwrite.")
-
-
-def load_transitions(dataset_id: DatasetId | str, *, verify: bool = False, root: str | Path | None = None) -> Transitions:
-    """Read a dataset as one-step transitions.
-
-    Args:
-        dataset_id: such as ``"walker/walk/cudc-v0"``.
-        verify: compute the fingerprint anew and compare it with the manifest's.
-        root: Minari's root unless given.
-
-    Raises:
-        UsageError: no such dataset, or not one of ours.
-        RunError: the data are damaged, the base is missing, or (with ``verify``) the fingerprint does not fit.
-    """
-    place = None if root is None else Path(root)
-    names = ("observations", "actions", "rewards", "terminations", "truncations")
-    if verify:
-        verify_fingerprint(dataset_id, place)
-    flat = load_episodes(dataset_id, names, place)
-    ends = np.cumsum(flat.lengths + 1) - 1
-    first = np.ones(len(flat.arrays["observations"]), np.bool_)
-    first[ends] = False
-    following = np.roll(first, 1)
-    return Transitions(
-        observations=flat.arrays["observations"][first],
-        actions=flat.arrays["actions"],
-        rewards=flat.arrays["rewards"],
-        next_observations=flat.arrays["observations"][following],
-        terminations=flat.arrays["terminations"],
-        truncations=flat.arrays["truncations"],
-        episodes=np.repeat(np.arange(len(flat.lengths)), flat.lengths),
-    )
 
 
 def verify_fingerprint(dataset_id: DatasetId | str, root: Path | None = None) -> str:

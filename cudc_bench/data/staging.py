@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
+from cudc_bench.execution.locks import held_by, locked
 from cudc_bench.files import sync, sync_tree, unwritable, write_atomically
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.locks import held_by, locked
 
 
 @contextmanager

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.data.reader import base_file, iterate_episodes
-from cudc_bench.manifest import Manifest
-from cudc_bench.progress import Advance
+from cudc_bench.execution.progress import Advance
 
 Float64 = NDArray[np.float64]
 

@@ -10,17 +10,9 @@ from __future__ import annotations
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
 
-from cudc_bench.envs.domains import (
-    DOMAINS,
-    Domain,
-    check_domain,
-    check_tasks,
-    domain_title,
-    excluded_tasks,
-    make_simulators,
-    reward_function,
-)
-from cudc_bench.ids import domain_slug
+from cudc_bench.artefacts.ids import domain_slug
+from cudc_bench.envs.domains import DOMAINS, Domain, domain_title
+from cudc_bench.envs.registry import check_domain, check_tasks, excluded_tasks, make_simulators, reward_function
 
 __all__ = [
     "DOMAINS",

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from cudc_bench.envs.domains import DOMAINS, check_domain, make_simulators
+from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.envs.drawing import OVERVIEW, REQUEST
+from cudc_bench.envs.registry import check_domain, make_simulators
 
 if TYPE_CHECKING:
     from cudc_bench.envs.simulator import Simulator

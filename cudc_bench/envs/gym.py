@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from cudc_bench.envs.domains import check_domain, check_tasks, make_simulators, reward_function
+from cudc_bench.envs.registry import check_domain, check_tasks, make_simulators, reward_function
 from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.envs.simulator import Float32
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cudc_bench.envs.domains import SUITE, check_domain, make_simulators
+from cudc_bench.envs.domains import SUITE
+from cudc_bench.envs.registry import check_domain, make_simulators
 
 _LIMBS = ("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle")
 _LEGS = ("front_left", "front_right", "back_right", "back_left")

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench.envs.domains import Domain, make_simulators
+from cudc_bench.envs.domains import Domain
+from cudc_bench.envs.registry import make_simulators
 from cudc_bench.envs.simulator import DivergedError, Float32, Float64
 
 # Relative to 1 + |x|: what different mathematical libraries may do to a float32 observation of the same state, or to a reset.

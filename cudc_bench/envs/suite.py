@@ -23,7 +23,7 @@ from shimmy.dm_control_compatibility import DmControlCompatibilityV0
 from cudc_bench.envs.domains import SUITE, Domain
 from cudc_bench.envs.simulator import DivergedError, Float32, Float64, Simulator, action_map, diverged, random_state
 from cudc_bench.errors import RunError, UsageError, unknown
-from cudc_bench.progress import say
+from cudc_bench.execution.progress import say
 
 _ELSEWHERE = f"choose another one, such as {SUITE}cheetah-run"
 # The trial that decides which rewards follow from states: so many episodes, each of so many steps and single steps from drawn states.

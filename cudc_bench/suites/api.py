@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import datasets_root
 from cudc_bench.errors import UsageError, unknown
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution.locks import locked
+from cudc_bench.execution.parallel import cores, only_cores, worker_count
+from cudc_bench.execution.progress import say
 from cudc_bench.files import check_folder
-from cudc_bench.ids import datasets_root
-from cudc_bench.locks import locked
-from cudc_bench.options import CHECKPOINT_EVERY
-from cudc_bench.parallel import cores, only_cores, worker_count
-from cudc_bench.profiles import resolve_device, resolve_profile
-from cudc_bench.progress import say
+from cudc_bench.settings.profiles import resolve_device, resolve_profile
 
 from .cluster import ROOT, Cluster, check_cluster, run_on_ray
 from .definition import Suite, load_suite, narrow

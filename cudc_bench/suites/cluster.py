@@ -19,13 +19,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cudc_bench import interrupts
-from cudc_bench.config import config_hash
+from cudc_bench.artefacts.ids import datasets_root, default_id
+from cudc_bench.artefacts.records import Record, record_path
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.parallel import use_cores
 from cudc_bench.files import unwritable, write_atomically
-from cudc_bench.ids import datasets_root, default_id
-from cudc_bench.parallel import use_cores
-from cudc_bench.records import Record, record_path
+from cudc_bench.settings.config import config_hash
 
 from .display import Display
 from .jobs import Job

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
-from cudc_bench.options import CHECKPOINT_EVERY, CheckpointEveryOption, DeviceOption, WorkersOption, parse_names, parse_seeds
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.settings.seeds import parse_seeds
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,7 +45,7 @@ def run(
     """Run a whole study: collect, relabel, train and compare."""
     from rich.console import Console
 
-    from cudc_bench.progress import say
+    from cudc_bench.execution.progress import say
 
     from .api import check_keep, make_cluster, prepare, run_prepared, shared_root
     from .cluster import RETRIES
@@ -133,6 +135,6 @@ def _costs(ready: Prepared) -> list[str]:
 
 
 def _root() -> str:
-    from cudc_bench.ids import datasets_root
+    from cudc_bench.artefacts.ids import datasets_root
 
     return str(datasets_root())

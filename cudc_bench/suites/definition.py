@@ -14,8 +14,8 @@ from cudc_bench import plugins
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError, nearest, unknown
 from cudc_bench.files import check_path, check_regular
-from cudc_bench.options import check_seeds, parse_seeds
-from cudc_bench.profiles import PROFILES
+from cudc_bench.settings.profiles import PROFILES
+from cudc_bench.settings.seeds import check_seeds, parse_seeds
 
 _FOLDER = Path(__file__).parent
 _LARGEST_FILE = 1_000_000

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from cudc_bench.progress import console, say
+from cudc_bench.execution.progress import console, say
 
 from .jobs import Job
 from .queue import Queue

@@ -13,11 +13,11 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from cudc_bench.artefacts.manifest import read_manifest, stored_ids
+from cudc_bench.artefacts.provenance import processor
+from cudc_bench.artefacts.records import read_record, record_files
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.manifest import read_manifest, stored_ids
-from cudc_bench.provenance import processor
-from cudc_bench.records import read_record, record_files
 
 from .jobs import Job
 

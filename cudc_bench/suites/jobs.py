@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from cudc_bench.ids import default_id
-from cudc_bench.options import format_seeds
+from cudc_bench.artefacts.ids import default_id
+from cudc_bench.settings.seeds import format_seeds
 
 from .definition import Suite
 

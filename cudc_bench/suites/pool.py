@@ -17,10 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cudc_bench import interrupts, workers
 from cudc_bench.errors import CudcBenchError, HeldError
-from cudc_bench.markup import visible
-from cudc_bench.parallel import use_cores
+from cudc_bench.execution import interrupts, workers
+from cudc_bench.execution.parallel import use_cores
+from cudc_bench.text import visible
 
 from .jobs import Job
 from .work import Common, do

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from cudc_bench import interrupts
 from cudc_bench.errors import RunError
-from cudc_bench.parallel import all_cores
-from cudc_bench.workers import close, listen
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.parallel import all_cores
+from cudc_bench.execution.workers import close, listen
 
 from .display import Display, Running, duration, size
 from .jobs import Job, Plan

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.manifest import exists
 from cudc_bench.data.staging import is_untidy
 from cudc_bench.errors import UsageError
-from cudc_bench.manifest import exists
 from cudc_bench.stages import Planned, check_relabelled
 
 from .definition import Suite

@@ -16,14 +16,14 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.artefacts.records import read_record
 from cudc_bench.data.staging import building_path, staging, tidy
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution.progress import Listener, told
 from cudc_bench.files import unwritable, write_atomically
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.manifest import Manifest, exists, read_manifest
-from cudc_bench.options import CHECKPOINT_EVERY
-from cudc_bench.progress import Listener, told
-from cudc_bench.records import read_record
 from cudc_bench.stages import ensure_relabelled
 
 from .jobs import Job

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil
 
+from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.records import Record
 
 from ..load import short
 from ..missing import Missing

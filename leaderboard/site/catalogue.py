@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
+from cudc_bench.artefacts.records import Record
 from cudc_bench.data.card import facts_of
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
+from cudc_bench.text import plain
 
 from ..load import column, short
 from ..overall import LEAD, NAMES

@@ -14,14 +14,14 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cudc_bench.descriptors import DescriptorCoverage
+from cudc_bench.artefacts.ids import default_id, parse_id
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.artefacts.provenance import command_line, is_own_command
+from cudc_bench.artefacts.records import Record, settings_text
+from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, UsageError
-from cudc_bench.ids import default_id, parse_id
-from cudc_bench.manifest import Manifest, exists, read_manifest
-from cudc_bench.markup import plain
-from cudc_bench.provenance import command_line, is_own_command
-from cudc_bench.records import Record, settings_text
+from cudc_bench.text import plain
 
 from ..diagnostics import Run, compare, diagnostics_path, read_diagnostics
 from ..files import write_files

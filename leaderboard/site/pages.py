@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
-from cudc_bench.markup import html_templates
+from cudc_bench.text import html_templates
 
 from ..figures import looks
 from ..load import short

@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import reference_path
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
-from cudc_bench.markup import plain
-from cudc_bench.records import Record
-from cudc_bench.references import reference_path
+from cudc_bench.text import plain
 
 from ..figures import looks
 from ..load import column

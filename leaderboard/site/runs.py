@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
 
 from ..load import short
 from ..table import ENOUGH_SEEDS, Table, span

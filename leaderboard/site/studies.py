@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cudc_bench.records import Record
+from cudc_bench.artefacts.records import Record
 
 from .. import grid as study_grid
 from ..grid_files import text

@@ -10,7 +10,7 @@ import torch
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.cudc import CUDC, CUDCConfig
 from cudc_bench.collectors.representation import effective_rank
-from cudc_bench.networks import minimise
+from cudc_bench.learning.networks import minimise
 from tests.evaluators.helpers import random_walker_data
 
 from .helpers import batch_for, make

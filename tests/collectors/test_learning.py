@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench import interaction
 from cudc_bench.collectors.base import Space
-from cudc_bench.collectors.loop import CollectConfig, run_collection
+from cudc_bench.collectors.running.loop import CollectConfig, run_collection
 from cudc_bench.envs import Domain
-from cudc_bench.replay import Batch
+from cudc_bench.learning.replay import Batch
+from cudc_bench.runs import interaction
 
 from .helpers import make
 

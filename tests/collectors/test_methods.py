@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from cudc_bench.collectors.be import BE
-from cudc_bench.moments import RunningMoments
-from cudc_bench.neighbours import neighbour_distances
-from cudc_bench.networks import MemberRandom
+from cudc_bench.learning.knn import neighbour_distances
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.running_mean_std import RunningMoments
 
 from .helpers import batch_for, make
 

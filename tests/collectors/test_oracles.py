@@ -17,8 +17,8 @@ from torch import Generator, Tensor
 
 from cudc_bench import plugins
 from cudc_bench.collectors.contract import SPACES
-from cudc_bench.replay import Batch
-from cudc_bench.seeding import stream_seed
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.seeding import stream_seed
 from tests.plain import assert_same, doubles, noisy, perturb, trunk_mlp
 
 from .helpers import batch_for, make

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 import cudc_bench
 from cudc_bench import plugins
-from cudc_bench.collectors.loop import run_collection
-from cudc_bench.collectors.pilot import FIRST, LAST, QUANTILE, SEED
-from cudc_bench.collectors.setting import settle
-from cudc_bench.collectors.thresholds import OURS, find_threshold, read_thresholds, settings_key
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.collectors.running.loop import run_collection
+from cudc_bench.collectors.running.pilot import FIRST, LAST, QUANTILE, SEED
+from cudc_bench.collectors.running.setting import settle
+from cudc_bench.collectors.running.thresholds import OURS, find_threshold, read_thresholds, settings_key
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.manifest import read_manifest
-from cudc_bench.profiles import PROFILES
+from cudc_bench.settings.profiles import PROFILES
 
 NEEDY = ["cudc-no-reach", "cudc-reward", "cudc-vary-apt", "cudc-vary-icm"]
 SMOKE = PROFILES["smoke"]
@@ -36,7 +36,7 @@ def own_file(datasets: Path) -> Path:
 @pytest.fixture
 def none_of_ours(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As if the package brought no thresholds along."""
-    monkeypatch.setattr("cudc_bench.collectors.thresholds.OURS", tmp_path / "nothing.json")
+    monkeypatch.setattr("cudc_bench.collectors.running.thresholds.OURS", tmp_path / "nothing.json")
 
 
 class Ignores:
@@ -200,7 +200,7 @@ def test_any_file_is_read_right_or_refused_in_one_line(own_file, data):
 
 
 def test_a_damaged_file_is_found_before_the_pilot_runs(own_file, monkeypatch):
-    monkeypatch.setattr("cudc_bench.collectors.pilot.run_jobs", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cudc_bench.collectors.running.pilot.run_jobs", lambda *_, **__: pytest.fail("it ran"))
     own_file.write_text("{")
     with pytest.raises(RunError, match="are damaged"):
         cudc_bench.pilot(["cudc-vary-icm"], profile="smoke")

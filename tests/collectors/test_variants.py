@@ -10,9 +10,9 @@ from cudc_bench import plugins
 from cudc_bench.collectors.apt import APT
 from cudc_bench.collectors.base import Space
 from cudc_bench.collectors.cudc import CUDC, CUDCConfig
-from cudc_bench.config import as_dict, config_hash
 from cudc_bench.envs import DOMAINS
-from cudc_bench.networks import minimise
+from cudc_bench.learning.networks import minimise
+from cudc_bench.settings.config import as_dict, config_hash
 
 from .helpers import batch_for, make
 

@@ -7,9 +7,9 @@ import pickle
 import pytest
 import torch
 
-from cudc_bench.checkpoints import KEPT, Checkpoints, digest
 from cudc_bench.errors import RunError, UnusableError, UsageError
-from cudc_bench.parallel import torch_threads
+from cudc_bench.execution.checkpoints import KEPT, Checkpoints, digest
+from cudc_bench.execution.parallel import torch_threads
 
 
 def loaded(checkpoints):
@@ -80,7 +80,7 @@ def test_the_one_before_serves_where_the_newest_refers_to_what_is_gone(tmp_path,
 def test_threads_and_time_go_on(tmp_path, monkeypatch):
     before = torch.get_num_threads()
     now = [100.0]
-    monkeypatch.setattr("cudc_bench.checkpoints.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("cudc_bench.execution.checkpoints.time.monotonic", lambda: now[0])
     first = Checkpoints(tmp_path, {})
     now[0] = 107.0
     with torch_threads(2):
@@ -139,7 +139,7 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path):
 
 def test_they_come_by_time(tmp_path, monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("cudc_bench.checkpoints.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("cudc_bench.execution.checkpoints.time.monotonic", lambda: now[0])
     ours = Checkpoints(tmp_path, {}, every=60)
     assert not ours.due()
     now[0] = 161.0

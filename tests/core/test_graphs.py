@@ -12,11 +12,11 @@ from torch import Tensor
 
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Space
-from cudc_bench.graphs import WARM_UP, Acts, Graph, Updates, graphs_for
-from cudc_bench.learner import Learner
-from cudc_bench.networks import MemberRandom, mlp
-from cudc_bench.recorded import RecordedGraph, WaitsForDeviceError
-from cudc_bench.replay import Batch, Episodes
+from cudc_bench.learning.cpu_graphs import RecordedGraph, WaitsForDeviceError
+from cudc_bench.learning.cuda_graphs import WARM_UP, Acts, Graph, Updates, graphs_for
+from cudc_bench.learning.learner import Learner
+from cudc_bench.learning.networks import MemberRandom, mlp
+from cudc_bench.learning.replay import Batch, Episodes
 
 CUDA = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
 

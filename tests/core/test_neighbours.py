@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from cudc_bench.neighbours import neighbour_distances
+from cudc_bench.learning.knn import neighbour_distances
 
 
 @pytest.mark.parametrize("exclude_self", [False, True])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench.networks import (
+from cudc_bench.learning.networks import (
     LayerNorm,
     Linear,
     MemberRandom,

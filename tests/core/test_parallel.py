@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from cudc_bench import interrupts
 from cudc_bench.errors import RunError
-from cudc_bench.parallel import Job, run_jobs
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.parallel import Job, run_jobs
 
 
 def counting(advance: Any, *, upto: int, fail: bool = False) -> int:

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
+from cudc_bench.cli.options import with_precision
 from cudc_bench.collectors.contract import batch_for, make
 from cudc_bench.errors import UsageError
-from cudc_bench.learner import Learner, set_precision
-from cudc_bench.manifest import read_manifest
-from cudc_bench.networks import Linear, MemberRandom, bf16_products
-from cudc_bench.options import with_precision
-from cudc_bench.records import read_record
+from cudc_bench.learning.learner import Learner, set_precision
+from cudc_bench.learning.networks import Linear, MemberRandom, bf16_products
 
 
 def test_wide_products_are_rounded_and_narrow_ones_are_not() -> None:

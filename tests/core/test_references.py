@@ -7,12 +7,8 @@ from typing import Any
 
 import pytest
 
-from cudc_bench.config import as_dict, build, config_hash
-from cudc_bench.errors import RunError
-from cudc_bench.profiles import PROFILES
-from cudc_bench.protocol import OnlineConfig
-from cudc_bench.records import Evaluation
-from cudc_bench.references import (
+from cudc_bench.artefacts.records import Evaluation
+from cudc_bench.artefacts.references import (
     Bounds,
     Reference,
     ReferenceRun,
@@ -21,6 +17,10 @@ from cudc_bench.references import (
     reference_path,
     write_reference,
 )
+from cudc_bench.errors import RunError
+from cudc_bench.settings.config import as_dict, build, config_hash
+from cudc_bench.settings.evaluate_config import OnlineConfig
+from cudc_bench.settings.profiles import PROFILES
 
 SMOKE = build(OnlineConfig, PROFILES["smoke"].collect, PROFILES["smoke"].evaluate)
 

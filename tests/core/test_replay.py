@@ -5,8 +5,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Episodes
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Episodes
 
 
 def coded(lengths, seeds=(1,), sources=1, source_of_member=None):

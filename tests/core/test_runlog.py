@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 import cudc_bench
-from cudc_bench import interrupts, runlog
-from cudc_bench.collectors.journal import Journal
+from cudc_bench.artefacts.records import read_record
+from cudc_bench.collectors.running.journal import Journal
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.loop import Arena
-from cudc_bench.records import read_record
-from cudc_bench.runlog import LogTarget, open_log
+from cudc_bench.evaluators.running.loop import Arena
+from cudc_bench.execution import interrupts, runlog
+from cudc_bench.execution.runlog import LogTarget, open_log
 
 SHORT = {"steps": 1_200, "measure_every": 2}
 

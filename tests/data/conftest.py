@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.artefacts.manifest import Manifest, fingerprint
+from cudc_bench.artefacts.provenance import versions
+from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.staging import publish, staging
-from cudc_bench.data.writer import Episode, Written, write_episodes, write_metadata
-from cudc_bench.ids import parse_id
-from cudc_bench.manifest import Manifest, fingerprint
-from cudc_bench.provenance import versions
+from cudc_bench.data.writer import Episode, Written, write_episodes
 
 
 def random_episodes(lengths: Sequence[int], seed: int = 0, rewards: bool = True) -> list[Episode]:

@@ -13,11 +13,11 @@ import pytest
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
+from cudc_bench.artefacts.manifest import Base, Manifest, read_manifest
 from cudc_bench.data.card import render_card
+from cudc_bench.data.layout import MAIN_FILE
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.statistics import measure_coverage, reward_statistics
-from cudc_bench.data.writer import MAIN_FILE
-from cudc_bench.manifest import Base, Manifest, read_manifest
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 

@@ -15,12 +15,12 @@ import pytest
 
 import cudc_bench
 from cudc_bench import plugins
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.data.descriptors import DescriptorCoverage, Visits
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.writer import Episode
-from cudc_bench.descriptors import DescriptorCoverage, Visits
 from cudc_bench.envs import DOMAINS, Domain, check_domain
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.manifest import read_manifest
 
 from .test_card import card, cells
 

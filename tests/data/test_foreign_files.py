@@ -16,10 +16,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cudc_bench
-from cudc_bench.cli import main
+from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest, stored_ids
+from cudc_bench.cli.app.app import main
 from cudc_bench.data.reader import iterate_episodes, load_episodes, read_episodes
 from cudc_bench.errors import CudcBenchError, RunError
-from cudc_bench.manifest import KEY, metadata_path, read_manifest, stored_ids
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")

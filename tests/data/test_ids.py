@@ -12,8 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from minari.dataset.minari_dataset import parse_dataset_id
 
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.errors import UsageError
-from cudc_bench.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 
 LOWER = string.ascii_lowercase + string.digits
 component = st.text(LOWER + "_", min_size=2, max_size=64).filter(lambda part: part != "data")

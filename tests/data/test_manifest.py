@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import cudc_bench
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.artefacts.manifest import KEY, FieldHasher, Manifest, check_free, exists, fingerprint, metadata_path, read_manifest
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import parse_id
-from cudc_bench.manifest import KEY, FieldHasher, Manifest, check_free, exists, fingerprint, metadata_path, read_manifest
 
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")
 BASE = "walker/cudc-v0"

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from cudc_bench.manifest import read_manifest
+from cudc_bench.artefacts.manifest import read_manifest
 
 TASKS = {f"walker/{task}/cudc-v0": f"cudc_bench/walker-{task}-v0" for task in ("stand", "walk", "run", "flip")}
 IDS = {"walker/cudc-v0": "cudc_bench/walker-v0"} | TASKS

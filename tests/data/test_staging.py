@@ -16,10 +16,10 @@ from typing import IO
 import minari
 import pytest
 
+from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.data.staging import publish, staging
 from cudc_bench.errors import RunError
-from cudc_bench.ids import parse_id
 
 from ..waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
 

@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes
 from cudc_bench.errors import UsageError
-from cudc_bench.manifest import read_manifest
 
 ID = "walker/made-v0"
 LENGTHS = (4, 1, 1000, 17, 2, 250)

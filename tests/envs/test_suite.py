@@ -13,12 +13,12 @@ from dm_control.suite import cheetah, hopper
 from dm_control.suite.wrappers import action_scale
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import default_id, domain_namespace, domain_slug, parse_id
 from cudc_bench.envs import Domain, check_domain, check_tasks, env_spec, make_simulators, reward_function
 from cudc_bench.envs.domains import SUITE
 from cudc_bench.envs.simulator import DivergedError, Simulator
 from cudc_bench.envs.suite import SuiteSimulator, suite_domain, suite_names
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import default_id, domain_namespace, domain_slug, parse_id
 
 # One of several tasks, whose rewards depend on actions and whose touch sensors lag; one whose actions are scaled.
 NAMES = ["cheetah-run", "hopper-hop", "quadruped-walk"]

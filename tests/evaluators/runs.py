@@ -3,15 +3,15 @@
 import numpy as np
 import torch
 
-from cudc_bench.config import as_dict, config_hash
+from cudc_bench.artefacts.manifest import RewardFunction
+from cudc_bench.artefacts.provenance import versions
+from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, write_record
 from cudc_bench.envs import DOMAINS
-from cudc_bench.evaluators.loop import Arena
-from cudc_bench.evaluators.policies import save_policy
-from cudc_bench.evaluators.rollout import recorded_seeds
-from cudc_bench.manifest import RewardFunction
-from cudc_bench.protocol import EvaluateConfig
-from cudc_bench.provenance import versions
-from cudc_bench.records import DatasetReference, Evaluation, Record, write_record
+from cudc_bench.evaluators.policies.stored.rollout import recorded_seeds
+from cudc_bench.evaluators.policies.stored.stored import save_policy
+from cudc_bench.evaluators.running.loop import Arena
+from cudc_bench.settings.config import as_dict, config_hash
+from cudc_bench.settings.evaluate_config import EvaluateConfig
 
 from .helpers import make
 

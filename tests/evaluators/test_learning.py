@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.networks import MemberRandom
-from cudc_bench.replay import Episodes
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Episodes
 
 from .helpers import make
 

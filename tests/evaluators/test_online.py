@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench import interaction, interrupts
-from cudc_bench.checkpoints import Checkpoints, digest
 from cudc_bench.data.writer import Episode, EpisodeShards
 from cudc_bench.envs import DOMAINS, Domain
-from cudc_bench.evaluators import loop, online
-from cudc_bench.evaluators.loop import Arena, Outcome
-from cudc_bench.evaluators.online import run_online
-from cudc_bench.protocol import OnlineConfig
-from cudc_bench.replay import Batch
+from cudc_bench.evaluators.running import loop, online
+from cudc_bench.evaluators.running.loop import Arena, Outcome
+from cudc_bench.evaluators.running.online import run_online
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import Checkpoints, digest
+from cudc_bench.learning.replay import Batch
+from cudc_bench.runs import interaction
+from cudc_bench.settings.evaluate_config import OnlineConfig
 
 from .helpers import make
 

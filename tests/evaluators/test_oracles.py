@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.replay import Batch
+from cudc_bench.learning.replay import Batch
 from tests.plain import Member, assert_same, doubles, perturb
 
 from .oracles import ORACLES, Transitions

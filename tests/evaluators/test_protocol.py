@@ -10,19 +10,20 @@ import pytest
 import torch
 
 import cudc_bench
-from cudc_bench import interrupts, plugins
-from cudc_bench.checkpoints import Checkpoints
+from cudc_bench import plugins
+from cudc_bench.artefacts.records import Record, read_record
+from cudc_bench.cli.options import parse_sizes
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators import api
-from cudc_bench.evaluators.api import load_members
-from cudc_bench.evaluators.loop import Arena, run_evaluation
-from cudc_bench.evaluators.policies import load_policy, policy_path
-from cudc_bench.evaluators.rollout import play, recorded_seeds
-from cudc_bench.options import parse_sizes
-from cudc_bench.protocol import EvaluateConfig
-from cudc_bench.records import Record, read_record
-from cudc_bench.seeding import episode_seed
+from cudc_bench.evaluators.policies.stored.rollout import play, recorded_seeds
+from cudc_bench.evaluators.policies.stored.stored import load_policy, policy_path
+from cudc_bench.evaluators.running import evaluate as api
+from cudc_bench.evaluators.running.evaluate import load_members
+from cudc_bench.evaluators.running.loop import Arena, run_evaluation
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import Checkpoints
+from cudc_bench.settings.evaluate_config import EvaluateConfig
+from cudc_bench.settings.seeding import episode_seed
 
 from .helpers import make, random_walker_data
 
@@ -294,7 +295,7 @@ def test_without_training_seeds_nothing_is_different(smoke, tmp_path):
 def test_a_training_with_another_seed_is_continued_and_kept_by_itself(smoke, tmp_path, monkeypatch):
     ((undisturbed, _),) = evaluated(tmp_path / "undisturbed", training_seeds=[7], workers=2)
     with monkeypatch.context() as patch:
-        patch.setattr("cudc_bench.evaluators.api.write_record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("cudc_bench.evaluators.running.evaluate.write_record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             evaluated(tmp_path, training_seeds=[7], checkpoint_every=0.0)
     folder = results(tmp_path) / ".checkpoints" / "smoke" / WALK / "td3-seed1-training7"
@@ -350,7 +351,7 @@ def test_a_saved_policy_gives_the_recorded_returns(smoke, tmp_path, algo):
 
 
 def test_policies_are_for_the_member_that_they_belong_to(smoke, tmp_path):
-    from cudc_bench.evaluators.policies import save_policy
+    from cudc_bench.evaluators.policies.stored.stored import save_policy
 
     ((path, _),) = evaluated(tmp_path, algo="td3")
     agent = make("td3", (5, 1))

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import cudc_bench
-from cudc_bench import interrupts
-from cudc_bench.cli import main
+from cudc_bench.artefacts.records import Evaluation
+from cudc_bench.artefacts.references import Reference, read_reference, read_references, write_reference
+from cudc_bench.cli.app.app import main
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
-from cudc_bench.evaluators import online, reference
-from cudc_bench.evaluators.loop import Arena
-from cudc_bench.evaluators.reference import RandomActions, make_references
-from cudc_bench.profiles import PROFILES
-from cudc_bench.records import Evaluation
-from cudc_bench.references import Reference, read_reference, read_references, write_reference
-from cudc_bench.seeding import episode_seed
+from cudc_bench.evaluators.running import online, reference
+from cudc_bench.evaluators.running.loop import Arena
+from cudc_bench.evaluators.running.reference import RandomActions, make_references
+from cudc_bench.execution import interrupts
+from cudc_bench.settings.profiles import PROFILES
+from cudc_bench.settings.seeding import episode_seed
 
 from .helpers import make
 
@@ -211,7 +211,7 @@ def test_a_stack_of_all_tasks_and_seeds_makes_the_references_of_its_members_alon
 
 def test_what_a_killed_process_left_is_tidied_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("cudc_bench.checkpoints.Checkpoints.remove", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("cudc_bench.execution.checkpoints.Checkpoints.remove", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             made(tmp_path)
     (path,) = tmp_path.rglob("reference.json")

@@ -5,14 +5,14 @@ import pytest
 from PIL import Image
 
 import cudc_bench
+from cudc_bench.artefacts.provenance import versions
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.drawing import probe
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators import rendering
-from cudc_bench.evaluators.policies import policy_path
-from cudc_bench.evaluators.rollout import recorded_seeds
-from cudc_bench.provenance import versions
+from cudc_bench.evaluators.policies.stored import rendering
+from cudc_bench.evaluators.policies.stored.rollout import recorded_seeds
+from cudc_bench.evaluators.policies.stored.stored import policy_path
 
 from .runs import change, write_run
 

@@ -8,9 +8,9 @@ import torch
 
 from cudc_bench.envs import DOMAINS, check_domain
 from cudc_bench.errors import RunError
-from cudc_bench.evaluators.loop import Arena, run_evaluation
-from cudc_bench.protocol import EvaluateConfig
-from cudc_bench.replay import Batch
+from cudc_bench.evaluators.running.loop import Arena, run_evaluation
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.evaluate_config import EvaluateConfig
 
 from .helpers import make, random_walker_data
 

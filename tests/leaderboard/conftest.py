@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, Submission, record_path, write_record
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.records import DatasetReference, Evaluation, Record, Submission, record_path, write_record
 
 MakeRecord = Callable[..., Record]
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from cudc_bench.artefacts.records import Evaluation, Record
 from cudc_bench.leaderboard.components import ALL_TASKS, BETWEEN, POOLED, WITHIN, components
 from cudc_bench.leaderboard.figures import curve, draw_bars, draw_curves
 from cudc_bench.leaderboard.grid import Entry
@@ -22,7 +23,6 @@ from cudc_bench.leaderboard.site.parts import Site
 from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.study import Study
 from cudc_bench.leaderboard.table import build_blocks, build_tables, tables_of
-from cudc_bench.records import Evaluation, Record
 
 # Davies and Goldsmith 1972, table 6.1 (lme4's "Dyestuff"): yields of five samples of each of six batches.
 DYESTUFF = [

@@ -16,7 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cudc_bench.cli import main
+from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.artefacts.records import write_record
+from cudc_bench.cli.app.app import main
 from cudc_bench.leaderboard.load import load_records
 from cudc_bench.leaderboard.overall import build_overall
 from cudc_bench.leaderboard.published import beside_paper
@@ -35,9 +37,7 @@ from cudc_bench.leaderboard.render import (
     to_rich,
 )
 from cudc_bench.leaderboard.table import build_tables
-from cudc_bench.markup import visible
-from cudc_bench.provenance import is_own_command
-from cudc_bench.records import write_record
+from cudc_bench.text import visible
 
 HOSTILE = [
     "=cmd|' /C calc'!A0", "+1", "@SUM(A1)", "\t=1", "-1+1", "\r=1", "<script>alert(1)</script>",

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cudc_bench.artefacts.records import Record
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.records import Record
 
 LATEX = shutil.which("pdflatex")
 HOSTILE = "\\input{/etc/passwd} % $x^2$ & # _ ~ { } -- ``q'' é \\\\[3pt] \\end{table}"

@@ -20,6 +20,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from rich.console import Console
 
+from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.figures import _STYLE
@@ -28,7 +29,6 @@ from cudc_bench.leaderboard.overall_figures import draw_domains, draw_intervals,
 from cudc_bench.leaderboard.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
 from cudc_bench.leaderboard.statistics import Interval
 from cudc_bench.leaderboard.table import METHOD_ORDER, build_tables
-from cudc_bench.records import Record
 
 quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

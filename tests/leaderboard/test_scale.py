@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cudc_bench.config import as_dict, build, config_hash
+from cudc_bench.artefacts.records import Evaluation, Record
+from cudc_bench.artefacts.references import Bounds, Reference, ReferenceRun, reference_path, write_reference
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.figures import draw_bars, draw_curves, draw_task
@@ -37,10 +38,9 @@ from cudc_bench.leaderboard.scale import BETWEEN, OF_LARGEST, scale_of, serving
 from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.study import SCORE, Study
 from cudc_bench.leaderboard.table import Table, build_blocks, build_tables, tables_of
-from cudc_bench.profiles import PROFILES
-from cudc_bench.protocol import OnlineConfig
-from cudc_bench.records import Evaluation, Record
-from cudc_bench.references import Bounds, Reference, ReferenceRun, reference_path, write_reference
+from cudc_bench.settings.config import as_dict, build, config_hash
+from cudc_bench.settings.evaluate_config import OnlineConfig
+from cudc_bench.settings.profiles import PROFILES
 
 Served = Mapping[tuple[str, str, str], Bounds]
 TASKS = DOMAINS["walker"].tasks

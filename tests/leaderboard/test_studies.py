@@ -19,6 +19,7 @@ from rich.console import Console
 from scipy import stats
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.records import Record
 from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.api import Report, make_leaderboard
 from cudc_bench.leaderboard.figures import _STYLE, draw_bars, figure_files, filled, legend, looks
@@ -31,7 +32,6 @@ from cudc_bench.leaderboard.sizes import area_weights
 from cudc_bench.leaderboard.studies import build_studies
 from cudc_bench.leaderboard.study import SCORE, Study
 from cudc_bench.leaderboard.table import build_blocks, build_tables, tables_of
-from cudc_bench.records import Record
 
 TASKS = ("stand", "walk", "run", "flip")
 PAPER = {"milestones": [100_000, 500_000], "profile": "paper", "dataset_steps": 1_000_000}

@@ -16,8 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cudc_bench
-from cudc_bench.cli import main
-from cudc_bench.config import config_hash
+from cudc_bench.artefacts.provenance import commit
+from cudc_bench.artefacts.records import Record, read_record
+from cudc_bench.cli.app.app import main
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.load import column, load_records
@@ -26,8 +27,7 @@ from cudc_bench.leaderboard.overall import build_overall
 from cudc_bench.leaderboard.render import overall_to_markdown, to_latex, to_markdown
 from cudc_bench.leaderboard.submit import RefusedError, submit
 from cudc_bench.leaderboard.table import build_tables
-from cudc_bench.provenance import commit
-from cudc_bench.records import Record, read_record
+from cudc_bench.settings.config import config_hash
 
 from .test_hostile_records import changed
 

@@ -16,7 +16,7 @@ CLEARED = "the actor's own step clears its gradient first, so that what the crit
 
 NETWORKS = [
     *mutants(
-        "cudc_bench/networks.py", AGENTS,
+        "cudc_bench/learning/networks.py", AGENTS,
         ("hidden = torch.relu_(self.hidden(self.trunk", "hidden = torch.tanh(self.hidden(self.trunk"),
         ("hidden, self.out.weight * self.head_mask)", "hidden, self.out.weight)"),
         (
@@ -33,25 +33,25 @@ NETWORKS = [
         ("    optimiser.zero_grad(set_to_none=True)\n", ""),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("icm",),
+        "cudc_bench/learning/networks.py", ("icm",),
         ("(action.clamp(-1.0 + 1e-6, 1.0 - 1e-6) - action).detach()", "(action.clamp(-1.0 + 1e-6, 1.0 - 1e-6) - action)"),
         ("action.clamp(-1.0 + 1e-6, 1.0 - 1e-6)", "action.clamp(-1.0 + 1e-6, 1.0)", "action.clamp(-1.0, 1.0 - 1e-6)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("aps",),
+        "cudc_bench/learning/networks.py", ("aps",),
         ("heads.unflatten(-1, (2, self.outputs))", "heads.unflatten(-1, (self.outputs, 2)).transpose(-1, -2)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("disagreement",),
+        "cudc_bench/learning/networks.py", ("disagreement",),
         ("x.repeat_interleave(self.size, dim=0)", "x.repeat(self.size, 1, 1)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("smm",),
+        "cudc_bench/learning/networks.py", ("smm",),
         ("groups.setdefault(rate, [])", "groups.setdefault(learning_rate, [])"),
         ('"lr": rates[rate]}', '"lr": rates[max(rates)]}'),
     ),
     *mutants(
-        "cudc_bench/neighbours.py", ("apt", "be", "aps", "cic", "cudc"),
+        "cudc_bench/learning/knn.py", ("apt", "be", "aps", "cic", "cudc"),
         ("alpha=-2.0)", "alpha=-2.04)"),
         ("torch.inf if exclude_self else 0.0", "0.0", "torch.inf"),
         ("squared.topk(neighbours,", "squared.topk(neighbours - 1,", "squared.topk(min(neighbours + 1, squared.shape[-1] - exclude_self),"),
@@ -60,17 +60,17 @@ NETWORKS = [
         ("squared += centred.square().sum(-1)[:, :, None]", "squared += centred.square().mean(-1)[:, :, None]"),
     ),
     *mutants(
-        "cudc_bench/neighbours.py", ("proto",),
+        "cudc_bench/learning/knn.py", ("proto",),
         ("others = centred if among is None else among - mean", "others = centred if among is None else among"),
     ),
     survivor(
-        "cudc_bench/neighbours.py", ("proto",),
+        "cudc_bench/learning/knn.py", ("proto",),
         "mean = points.mean(1, keepdim=True)",
         "mean = points.mean((0, 1), keepdim=True)",
         "distances do not change by a shift",
     ),
     *mutants(
-        "cudc_bench/neighbours.py", ("aps", "cic"),
+        "cudc_bench/learning/knn.py", ("aps", "cic"),
         (
             "(distances / scale[:, None, None] - floor)",
             "(distances / scale.mean() - floor)",
@@ -87,7 +87,7 @@ NETWORKS = [
         ),
     ),
     *mutants(
-        "cudc_bench/moments.py", ("aps", "rnd", "cic", "be"),
+        "cudc_bench/learning/running_mean_std.py", ("aps", "rnd", "cic", "be"),
         ("self.mean += share * difference", "self.mean += 1.02 * share * difference"),
         ("self.weight += count", "self.weight += 1"),
         ("values = values.flatten(1)", "values = values.flatten(1).roll(1, 0)"),
@@ -95,7 +95,7 @@ NETWORKS = [
         ("difference = mean - self.mean", "difference = mean.mean() - self.mean"),
     ),
     *mutants(
-        "cudc_bench/moments.py", ("aps", "rnd", "cic", "be"),
+        "cudc_bench/learning/running_mean_std.py", ("aps", "rnd", "cic", "be"),
         ("correction=min(1, count - 1)", "correction=0"),
         ("share * (1.0 - share) * difference.square()", "share * difference.square()", "share * (1.0 - share) * difference"),
         ("share * (variance - self.variance)", "1.02 * share * (variance - self.variance)"),
@@ -318,7 +318,7 @@ LAYERS = [
         ("return random.uniform(size, size)", "return random.uniform(size, size) - 0.5"),
     ),
     *mutants(
-        "cudc_bench/networks.py", AGENTS,
+        "cudc_bench/learning/networks.py", AGENTS,
         (
             "block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)",
             "block.copy_(1.4 * nn.init.orthogonal_(drawn, generator=generator).T)",

@@ -16,7 +16,7 @@ CLEARED = "the actor's own step clears its gradient first, so that what the crit
 MUTANTS: list[Mutant] = [
     # What all share: networks, noise, slow copies and Adam
     *mutants(
-        "cudc_bench/networks.py", ALL,
+        "cudc_bench/learning/networks.py", ALL,
         ("return torch.baddbmm(self.bias, x, self.weight)", "return torch.bmm(x, self.weight)"),
         ("loss.sum().backward()", "loss.mean().backward()", "(1.02 * loss.sum()).backward()"),
         ("    optimiser.zero_grad(set_to_none=True)\n", ""),
@@ -31,7 +31,7 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("bc", *BACKBONE, "rebrac"),
+        "cudc_bench/learning/networks.py", ("bc", *BACKBONE, "rebrac"),
         ("F.layer_norm(x, (self.size,))", "F.layer_norm(x, (self.size,), eps=1e-3)", "F.layer_norm(x, tuple(x.shape[1:]))"),
         (
             "torch.addcmul(self.bias, F.layer_norm(x, (self.size,)), self.weight)",
@@ -40,7 +40,7 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("bc", *BACKBONE),
+        "cudc_bench/learning/networks.py", ("bc", *BACKBONE),
         (
             "LayerNorm(random, outputs), Activation(torch.tanh)",
             "LayerNorm(random, outputs), Activation(torch.relu)",
@@ -48,7 +48,7 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("bc", *BACKBONE, "iql"),
+        "cudc_bench/learning/networks.py", ("bc", *BACKBONE, "iql"),
         (
             "orthogonal=orthogonal), Activation(torch.relu_)",
             "orthogonal=orthogonal), Activation(torch.tanh)",
@@ -56,11 +56,11 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("bc", "crr", *TD3),
+        "cudc_bench/learning/networks.py", ("bc", "crr", *TD3),
         ("*mlp(random, width, width, action, output=torch.tanh)", "*mlp(random, width, width, action)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", CRITICS,
+        "cudc_bench/learning/networks.py", CRITICS,
         ("x.repeat_interleave(self.size, dim=0)", "x.repeat(self.size, 1, 1)"),
         ("list(online.parameters()), tau)", "list(online.parameters()), 1.02 * tau)", "list(online.parameters()), 1.0 - tau)"),
         (
@@ -71,21 +71,21 @@ MUTANTS: list[Mutant] = [
         ("return target.requires_grad_(False)", "return target"),
     ),
     *mutants(
-        "cudc_bench/networks.py", (*TD3, *CQL, "rebrac"),
+        "cudc_bench/learning/networks.py", (*TD3, *CQL, "rebrac"),
         ("parameter.requires_grad_(False)", "parameter.requires_grad_(True)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", (*TD3, "crr", "rebrac"),
+        "cudc_bench/learning/networks.py", (*TD3, "crr", "rebrac"),
         ("scaled = noise * std", "scaled = noise * std * 1.02"),
         ("scaled.clamp(-clip, clip)", "scaled.clamp(-clip, 1.02 * clip)", "scaled.clamp(-1.02 * clip, clip)"),
         ("action.clamp(-1.0 + 1e-6, 1.0 - 1e-6)", "action.clamp(-1.0 + 1e-6, 1.0)", "action.clamp(-1.0, 1.0 - 1e-6)"),
     ),
     *mutants(
-        "cudc_bench/networks.py", ("td3", "td3-bc"),
+        "cudc_bench/learning/networks.py", ("td3", "td3-bc"),
         ("(action.clamp(-1.0 + 1e-6, 1.0 - 1e-6) - action).detach()", "(action.clamp(-1.0 + 1e-6, 1.0 - 1e-6) - action)"),
     ),
     *mutants(
-        "cudc_bench/learner.py", ("iql",),
+        "cudc_bench/learning/learner.py", ("iql",),
         ('group["lr"] = value', 'group["lr"] = 1.02 * value'),
     ),
     # ExORL's backbone: two critics and their target, and densities

@@ -16,11 +16,11 @@ import pytest
 
 import cudc_bench
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import dataset_path
+from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import load_episodes, verify_fingerprint
 from cudc_bench.envs import DOMAINS, env_id, make_simulators
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.ids import dataset_path
-from cudc_bench.manifest import read_manifest
 
 TASKS = ("stand", "walk", "run", "flip")
 BASE = "walker/cudc-v0"

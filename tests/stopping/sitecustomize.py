@@ -3,7 +3,7 @@
 import os
 import signal
 
-from cudc_bench.checkpoints import Checkpoints
+from cudc_bench.execution.checkpoints import Checkpoints
 
 _save = Checkpoints.save
 

@@ -20,13 +20,13 @@ import pytest
 
 import cudc_bench
 from cudc_bench import plugins
-from cudc_bench.cli import main
+from cudc_bench.artefacts.ids import dataset_path, parse_id
+from cudc_bench.artefacts.manifest import exists, read_manifest
+from cudc_bench.artefacts.records import Record, read_record, write_record
+from cudc_bench.cli.app.app import main
 from cudc_bench.data.staging import staging
 from cudc_bench.errors import HeldError, RunError, UsageError
 from cudc_bench.files import lives
-from cudc_bench.ids import dataset_path, parse_id
-from cudc_bench.manifest import exists, read_manifest
-from cudc_bench.records import Record, read_record, write_record
 from cudc_bench.suites.api import prepare
 from cudc_bench.suites.definition import load_suite
 from cudc_bench.suites.jobs import expand

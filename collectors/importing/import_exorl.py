@@ -1,0 +1,228 @@
+"""``import_exorl``: from other people's episode files to a published Minari dataset."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
+from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, Import, Manifest, Source, check_free, fingerprint
+from cudc_bench.artefacts.provenance import command_line, stamp
+from cudc_bench.artefacts.records import Name
+from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.metadata import write_metadata
+from cudc_bench.data.staging import publish, staging
+from cudc_bench.data.statistics import measure_coverage
+from cudc_bench.data.writer import Episode, write_episodes
+from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.errors import RunError, UsageError
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.progress import Advance, bars, say
+from cudc_bench.files import check_folder, check_path
+from cudc_bench.settings.config import config_hash
+from cudc_bench.settings.seeds import check_seeds
+
+from .exorl import EpisodeFile, FileFault, Layout, RawEpisode, list_files, read_episode
+
+
+def import_exorl(
+    directory: str | Path,
+    method: str,
+    domain: str = "walker",
+    *,
+    task: str | None = None,
+    steps: int | None = None,
+    seed: int = 1,
+    source: str = "ExORL",
+    dataset_id: str | None = None,
+    overwrite: bool = False,
+) -> str:
+    """Turn a folder of ExORL's or URLB's episode files into a Minari dataset.
+
+    Files are read one at a time, in the order of their episode indices. Each is checked; the first that does not fit ends the import,
+    and nothing of it stays. Simulator states become ``infos/physics``; other numeric arrays with a row for each step, such as skills,
+    become ``infos/<name>``, whose row t belongs to the action that led to observation t.
+
+    Args:
+        directory: the folder that holds the ``.npz`` files.
+        method: the name of what collected them; it need not be a registered collector.
+        domain: a registered domain.
+        task: whose rewards the files hold. They are kept, and the dataset becomes ``walker/walk/proto-v0``. Otherwise rewards are 0.
+        steps: only the first so many steps; the last episode is cut to fit.
+        seed: a number for this collection among others of the same method.
+        source: who collected the files, as tables name it.
+        dataset_id: instead of the default id, such as ``walker/proto-v0``.
+        overwrite: replace a dataset that exists.
+
+    Returns:
+        The id of the dataset.
+
+    Raises:
+        UsageError: wrong input, or the first file does not fit; nothing has been written.
+        RunError: a later file does not fit, or the dataset cannot be written.
+    """
+    started = time.monotonic()
+    facts = check_domain(domain)
+    _check("method", method, Name, "small letters, digits, '_' and '-'")
+    _check("source", source, Source, "at most 32 letters, digits, spaces, '.', '_' and '-'")
+    if task is not None:
+        check_tasks(facts, [task])
+    (seed,) = check_seeds([seed])
+    usual = default_id(domain, method, seed) if task is None else default_id(domain, method, seed).for_task(task)
+    one = usual if dataset_id is None else parse_id(dataset_id)
+    check_free(one, overwrite)
+    check_folder(datasets_root(), "the dataset root")
+    folder = check_path(directory, "the directory")
+    files = list_files(folder, facts)
+    total = sum(file.length for file in files)
+    if steps is not None and not 1 <= steps <= total:
+        raise UsageError(f"--steps cannot be {steps:,}; there are {total:,} steps in '{folder}'.")
+    try:
+        first = read_episode(files[0], facts)
+        _episode(first, files[0].length, facts, task)
+    except FileFault as fault:
+        raise UsageError(_message(files[0], fault)) from None
+
+    chosen = list(_first_steps(files, total if steps is None else steps))
+    total = sum(length for _, length in chosen)
+    say(f"import {method} on {domain} from {folder}: {len(chosen):,} files, {total:,} steps")
+    for line in _remarks(files, first.layout, task):
+        say(line)
+    tally = _Tally()
+    # An interruption while HDF5 writes would be lost in it.
+    with staging(one) as building, interrupts.leave_well(saves=False):
+        with bars([(f"import {method}", total)], "steps") as (advance,):
+            written = write_episodes(building / "data", _episodes(chosen, facts, first.layout, task, tally, advance))
+        manifest = Manifest(
+            domain=domain,
+            task=task,
+            method=method,
+            seed=seed,
+            steps=written.steps,
+            episodes=written.episodes,
+            profile=IMPORTED_PROFILE,
+            hyperparameters={},
+            hyperparameters_hash=config_hash({}),
+            fields=written.fields,
+            fingerprint=fingerprint(written.fields),
+            imported=Import(
+                source=source, files=len(chosen), sha256=tally.sums.hexdigest(), clipped=tally.clipped, ignored=list(first.layout.ignored)
+            ),
+            command=_command(folder, domain, method, seed, task, steps, source, one, usual),
+            **stamp(time.monotonic() - started),
+        )
+        with bars([("measure coverage", written.steps)], "steps") as (advance,):
+            coverage = measure_coverage(building / "data" / MAIN_FILE, manifest, advance)
+        write_metadata(building / "data", manifest, str(one), _description(manifest, first.layout), coverage)
+        publish(building, one)
+    if tally.clipped:
+        say(f"{tally.clipped:,} of {written.steps * facts.action_size:,} numbers in actions were beyond [-1, 1] by rounding: clipped")
+    say(f"wrote {one} to {dataset_path(one)}")
+    return str(one)
+
+
+@dataclass
+class _Tally:
+    """What adds up over the files of an import."""
+
+    sums: Any = field(default_factory=hashlib.sha256)
+    clipped: int = 0
+
+
+def _first_steps(files: list[EpisodeFile], steps: int) -> Iterator[tuple[EpisodeFile, int]]:
+    """The files that hold the first steps, and how many steps of each."""
+    for file in files:
+        if steps <= 0:
+            return
+        yield file, min(file.length, steps)
+        steps -= file.length
+
+
+def _episodes(
+    chosen: list[tuple[EpisodeFile, int]], domain: Domain, layout: Layout, task: str | None, tally: _Tally, advance: Advance
+) -> Iterator[Episode]:
+    """The episodes in this project's alignment, one in memory at a time.
+
+    Raises:
+        RunError: a file does not fit.
+    """
+    for file, length in chosen:
+        if interrupts.requested():
+            raise KeyboardInterrupt
+        try:
+            raw = read_episode(file, domain)
+            if raw.layout != layout:
+                raise FileFault(f"holds other optional arrays ({raw.layout}) than '{chosen[0][0].path.name}' ({layout})")
+            episode = _episode(raw, length, domain, task)
+        except FileFault as fault:
+            raise RunError(f"{_message(file, fault)} Nothing was written.") from None
+        yield episode
+        tally.sums.update(f"{raw.sha256}  {file.path.name}\n".encode())
+        tally.clipped += int(raw.clipped[1 : length + 1].sum())
+        advance(length)
+
+
+def _episode(raw: RawEpisode, length: int, domain: Domain, task: str | None) -> Episode:
+    arrays = raw.arrays
+    rewards = None
+    if task is not None:
+        rewards = arrays["reward"][1 : length + 1, 0].astype("float32")
+        if abs(total := float(rewards.sum(dtype="float64"))) > domain.max_return * (1 + 1e-6):
+            raise FileFault(f"holds rewards that sum to {total:g}; those of {domain.name} {task} reach at most {domain.max_return:g}")
+    infos = {name: arrays[name][: length + 1] for name in (*(["physics"] if raw.layout.physics else []), *raw.layout.extras)}
+    return Episode(None, arrays["observation"][: length + 1], arrays["action"][1 : length + 1], infos, rewards)
+
+
+def _remarks(files: list[EpisodeFile], layout: Layout, task: str | None) -> Iterator[str]:
+    """What people should know of the files before the work starts."""
+    if missing := files[-1].index - files[0].index + 1 - len(files):
+        yield f"{missing:,} episodes between {files[0].index} and {files[-1].index} are missing"
+    if not layout.physics:
+        what = f"only the rewards of {task}, which the files hold, are there" if task else "the dataset can never be labelled for a task"
+        yield f"the files hold no physics states: {what}"
+    if layout.extras:
+        yield f"kept beside the known arrays: {', '.join(f'infos/{name}' for name in layout.extras)}"
+    if layout.ignored:
+        yield f"ignored, since not numbers with a row for each step: {', '.join(layout.ignored)}"
+
+
+def _description(manifest: Manifest, layout: Layout) -> str:
+    assert manifest.imported is not None
+    rewards = (
+        f"The rewards are those of {manifest.task} in the files." if manifest.task
+        else "The rewards are all 0. Relabel it for a task with cudc-bench." if layout.physics
+        else "The rewards are all 0."
+    )  # fmt: skip
+    return (
+        f"{manifest.domain} explored by {manifest.method}, imported from {manifest.imported.files:,} episode files of "
+        f"{manifest.imported.source}: not collected by cudc-bench; hyperparameters and episode seeds are not known here. {rewards}"
+        + ("" if layout.physics else " It holds no physics states and cannot be relabelled.")
+    )
+
+
+def _command(
+    folder: Path, domain: str, method: str, seed: int, task: str | None, steps: int | None, source: str, one: DatasetId, usual: DatasetId
+) -> str:
+    options = {"--domain": domain, "--method": method, "--seed": str(seed)}
+    options |= {} if task is None else {"--task": task}
+    options |= {} if steps is None else {"--steps": str(steps)}
+    options |= {} if source == "ExORL" else {"--source": source}
+    options |= {} if one == usual else {"--dataset-id": str(one)}
+    return command_line("import-exorl", options, {}, str(folder))
+
+
+def _check(what: str, value: str, kind: Any, allowed: str) -> None:
+    try:
+        TypeAdapter(kind).validate_python(value)
+    except ValidationError:
+        raise UsageError(f"the {what} cannot be {value!a}; allowed: {allowed}.") from None
+
+
+def _message(file: EpisodeFile, fault: FileFault) -> str:
+    return f"'{file.path}' {fault}."

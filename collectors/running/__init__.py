@@ -1,0 +1,1 @@
+"""What carries a collector through its run: commands, loop, storage, pilots."""

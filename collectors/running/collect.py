@@ -1,0 +1,265 @@
+"""``collect``: from a method's name to published Minari datasets."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
+from cudc_bench.artefacts.manifest import Manifest, check_free, exists, fingerprint, read_manifest
+from cudc_bench.artefacts.provenance import command_line, origin, stamp
+from cudc_bench.data.metadata import write_metadata
+from cudc_bench.data.staging import checkpoints_path, is_untidy, publish, staging, tidy
+from cudc_bench.data.writer import write_episodes
+from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
+from cudc_bench.errors import RunError, UsageError
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints, digest
+from cudc_bench.execution.parallel import Job, run_jobs, worker_count
+from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.runlog import LOG_DIR, LogTarget, check_log, open_log
+from cudc_bench.files import check_folder
+from cudc_bench.learning.learner import check_precision
+from cudc_bench.settings.config import config_hash
+from cudc_bench.settings.profiles import resolve_device, resolve_profile
+from cudc_bench.settings.seeds import check_seeds, format_seeds
+from cudc_bench.stages import Planned
+
+from .journal import DIAGNOSTICS, Journal
+from .loop import run_collection
+from .setting import NoThresholdError, Setting, say_whose_values, settle
+
+
+def collect(
+    method: str = "cudc",
+    domain: str = "walker",
+    seeds: Sequence[int] = (1,),
+    *,
+    profile: str = "auto",
+    settings: Mapping[str, Any] | None = None,
+    dataset_id: str | None = None,
+    overwrite: bool = False,
+    device: str = "auto",
+    workers: int | None = 1,
+    log: str | None = None,
+    log_dir: str | Path = LOG_DIR,
+    checkpoint_every: float = CHECKPOINT_EVERY,
+    fresh: bool = False,
+    check_only: bool = False,
+) -> list[str]:
+    """Explore a domain without rewards and write one Minari dataset for each seed.
+
+    A dataset that exists and was made by this very run is kept. A run that was interrupted is continued from its last checkpoint, with the
+    same result as if it had not been; checkpoints lie in a hidden folder beside the dataset's until it is there.
+
+    Args:
+        method: a registered collector.
+        domain: a registered domain.
+        seeds: one dataset each; seed 1 becomes ``walker/cudc-v0``, seed 2 ``walker/cudc-seed2-v0``.
+        profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``.
+        settings: hyperparameters that differ from the profile, by name.
+        dataset_id: instead of the default id; for one seed only.
+        overwrite: replace datasets that exist.
+        device: ``cpu``, ``cuda`` or ``auto``.
+        workers: processes on a CPU; 1 works in this process, None takes one for each core.
+        log: also send the lines of diagnostics to ``"tensorboard"`` or ``"wandb"`` while they are measured.
+        log_dir: the folder of these logs; a run's own is ``collect/<profile>/<dataset id>`` in it.
+        checkpoint_every: seconds between two checkpoints at least; they come at the ends of episodes.
+        fresh: start over where a run was interrupted.
+        check_only: stop before the work starts; wrong input has been refused by then.
+
+    Returns:
+        The ids of the datasets, in the order of the seeds.
+
+    Raises:
+        UsageError: wrong input, or a run with other settings was interrupted; nothing has been written.
+        RunError: the run failed; what it had done until its last checkpoint is kept.
+        Interrupted: the process was asked to leave; what it had done is kept.
+    """
+    chosen = resolve_profile(profile)
+    setting = settle(method, domain, chosen, settings)
+    seeds = check_seeds(seeds)
+    if dataset_id is not None and len(seeds) > 1:
+        raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
+    ids = [default_id(domain, method, seed) if dataset_id is None else parse_id(dataset_id) for seed in seeds]
+    done = [] if overwrite else [one for seed, one in zip(seeds, ids, strict=True) if _is_made(setting, seed, one)]
+    for one in ids:
+        check_free(one, overwrite or one in done)
+    check_folder(datasets_root(), "the dataset root")
+    logs = check_log(log, log_dir)
+    device = resolve_device(device)
+    check_precision(setting.kind, method, setting.loop.precision, device)
+    members = list(zip(seeds, ids, strict=True))
+    left = [member for member in members if member[1] not in done]
+    if device == "cuda":
+        # A stack that was interrupted while its datasets were being published goes on as a whole.
+        whole = _Run(setting, members, device)
+        runs, count = [whole if whole.is_interrupted() else _Run(setting, left, device)] if left else [], 1
+    else:
+        # The threads of each run, and so its result, must not depend on how many are left to do.
+        runs, count = [_Run(setting, [member], device) for member in left], worker_count(workers, len(members))
+    if not fresh:
+        for run in runs:
+            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members), "collect")
+    if check_only:
+        return [str(one) for one in ids]
+
+    for one in done:
+        tidy(one)
+        say(f"{one} was made by this very run: kept")
+    if not runs:
+        return [str(one) for one in ids]
+    say_whose_values(setting)
+    say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each, {device}")
+    jobs = [
+        Job(
+            description=f"{method} seed {format_seeds([seed for seed, _ in run.members])}",
+            total=setting.loop.steps,
+            arguments={
+                "run": run, "targets": [_target(run, seed, one, log, logs) for seed, one in run.members], "overwrite": overwrite,
+                "fresh": fresh, "checkpoint_every": checkpoint_every,
+            },
+        )
+        for run in runs
+    ]  # fmt: skip
+    run_jobs(collect_members, jobs, unit="steps", workers=count, threads=chosen.threads)
+    for run in runs:
+        for _, one in run.members:
+            say(f"wrote {one} to {dataset_path(one)}")
+    return [str(one) for one in ids]
+
+
+def plan_collect(
+    method: str, domain: str, seeds: Sequence[int], *, profile: str, settings: Mapping[str, Any] | None = None
+) -> list[Planned]:
+    """What :func:`collect` would make with the same arguments, for each seed; nothing is written.
+
+    Raises:
+        UsageError: wrong input, or something else stands at an id.
+    """
+    chosen = resolve_profile(profile)
+    pilot = False
+    try:
+        setting = settle(method, domain, chosen, settings)
+    except NoThresholdError:
+        pilot, setting = True, settle(method, domain, chosen, settings, piloting=True)
+    found = []
+    for seed in check_seeds(seeds):
+        one = default_id(domain, method, seed)
+        done = not pilot and _is_made(setting, seed, one)
+        if not pilot:
+            try:
+                check_free(one, done)
+            except UsageError as error:
+                there = str(error).partition("; ")[0]
+                raise UsageError(f"{there} in {datasets_root()} and is of another run; take another root (MINARI_DATASETS_PATH).") from None
+        found.append(Planned(str(one), seed, setting.loop.steps, done and not is_untidy(one), setting.overrides, pilot))
+    return found
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One stack of members, in the order of their seeds, and where its checkpoints are: with the first member's unfinished dataset."""
+
+    setting: Setting
+    members: list[tuple[int, DatasetId]]
+    device: str
+
+    def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+        setting = self.setting
+        decisive = {
+            "method": setting.method, "domain": setting.domain, "seeds": [seed for seed, _ in self.members], "profile": setting.profile,
+            "hyperparameters": setting.values, "device": self.device, **origin(plugins.package("collectors", setting.method)),
+        }  # fmt: skip
+        return Checkpoints(checkpoints_path(self.members[0][1]), decisive, every)
+
+    def is_interrupted(self) -> bool:
+        try:
+            return self.checkpoints().check("", "collect")
+        except UsageError:
+            return False
+
+
+def _is_made(setting: Setting, seed: int, dataset_id: DatasetId) -> bool:
+    """Whether the dataset of that id exists and is what this run would make."""
+    try:
+        there = read_manifest(dataset_id) if exists(dataset_id) else None
+    except (UsageError, RunError):
+        return False
+    if there is None or there.task is not None or there.imported is not None:
+        return False
+    wanted = (setting.method, setting.domain, setting.profile, seed, config_hash(setting.values))
+    return (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash) == wanted
+
+
+def _target(run: _Run, seed: int, dataset_id: DatasetId, log: str | None, folder: Path) -> LogTarget | None:
+    if log is None:
+        return None
+    setting = run.setting
+    name = f"{setting.method}-seed{seed}"
+    return LogTarget(log, folder, "collect", setting.profile, setting.domain, str(dataset_id), name, setting.values)
+
+
+def collect_members(
+    advance: Advance, *, run: _Run, targets: list[LogTarget | None], overwrite: bool, fresh: bool, checkpoint_every: float,
+) -> None:  # fmt: skip
+    """Collect some members in this process and publish their datasets (the job of :func:`collect`)."""
+    setting = run.setting
+    facts, values = check_domain(setting.domain), setting.values
+    with ExitStack() as stack:
+        folders = [stack.enter_context(staging(one, resume=not fresh)) for _, one in run.members]
+        if not overwrite and all(_is_made(setting, seed, one) for seed, one in run.members):
+            return  # by another process, while this one was starting
+        journals = [Journal(folder, stack.enter_context(open_log(target))) for folder, target in zip(folders, targets, strict=True)]
+        collector = setting.kind(setting.space, setting.config, [seed for seed, _ in run.members], run.device)
+        checkpoints = run.checkpoints(checkpoint_every)
+        run_collection(collector, setting.loop, facts, journals, advance, checkpoints)
+        summaries, state = collector.summary(), digest(collector.state_dict())
+        # The checkpoints lie with the first member, so that it is the last to be published.
+        for (seed, one), folder, journal, summary in reversed(list(zip(run.members, folders, journals, summaries, strict=True))):
+            dataset = folder / "dataset"
+            shutil.rmtree(dataset, ignore_errors=True)
+            written = write_episodes(dataset / "data", journal.episodes())
+            manifest = Manifest(
+                domain=setting.domain,
+                method=setting.method,
+                seed=seed,
+                steps=written.steps,
+                episodes=written.episodes,
+                profile=setting.profile,
+                overrides=setting.overrides,
+                hyperparameters=values,
+                hyperparameters_hash=config_hash(values),
+                citation=setting.kind.citation,
+                fields=written.fields,
+                fingerprint=fingerprint(written.fields),
+                final_state=state,
+                pilot=setting.pilot,
+                diagnostics=journal.last | summary,
+                command=_command(setting, seed, one),
+                **stamp(checkpoints.seconds, run.device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+            )
+            write_metadata(dataset / "data", manifest, str(one), _description(facts, setting.method))
+            journal.close()
+            shutil.copyfile(folder / DIAGNOSTICS, dataset / DIAGNOSTICS)
+            publish(dataset, one)
+
+
+def _description(domain: Domain, method: str) -> str:
+    excluded = f" Not relabelled can be: {excluded_tasks(domain)}." if domain.excluded else ""
+    way = "Relabel it for a task with cudc-bench, or compute" if domain.tasks else "Compute"
+    explored = f"Task-agnostic exploration of {domain_title(domain.name)} by {method}"
+    return f"{explored}: the rewards are all 0. {way} rewards from infos/physics.{excluded}"
+
+
+def _command(setting: Setting, seed: int, dataset_id: DatasetId) -> str:
+    options = {"--domain": setting.domain, "--method": setting.method, "--seed": str(seed), "--profile": setting.profile}
+    if dataset_id != default_id(setting.domain, setting.method, seed):
+        options["--dataset-id"] = str(dataset_id)
+    return command_line("collect", options, setting.overrides)

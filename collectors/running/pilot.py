@@ -1,0 +1,194 @@
+"""``pilot``: measure the thresholds that the paper uses but does not print.
+
+Variants whose k grows with the share of small rewards or small forward errors need to know what is small. The procedure is the same for
+all: run the method with k fixed at its start, and take the 10 % quantile of the minibatch medians of what the rule looks at, between the
+steps 50,000 and 450,000 of a run of a million (in proportion for shorter runs). That lets k reach its bound within a run, which is what
+the paper says its own thresholds were set for, and looks at no result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.ids import domain_slug
+from cudc_bench.artefacts.manifest import Pilot
+from cudc_bench.artefacts.provenance import command_line, origin, stamp
+from cudc_bench.envs import check_domain
+from cudc_bench.errors import BrokenDownError, UsageError
+from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution.locks import locked
+from cudc_bench.execution.parallel import Job, run_jobs, worker_count
+from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.runlog import open_log
+from cudc_bench.files import check_file, remove_empty, unwritable
+from cudc_bench.learning.learner import check_precision
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.profiles import resolve_device, resolve_profile
+
+from .journal import Journal
+from .loop import run_collection
+from .setting import Setting, settle
+from .thresholds import read_thresholds, settings_key, thresholds_path, write_thresholds
+
+SEED = 0  # kept apart from the seeds of datasets
+FIRST, LAST = 0.05, 0.45  # of the run
+QUANTILE = 0.1
+
+
+def pilot(
+    methods: Sequence[str] | None = None,
+    domain: str = "walker",
+    *,
+    profile: str = "auto",
+    settings: Mapping[str, Any] | None = None,
+    device: str = "auto",
+    workers: int | None = 1,
+    checkpoint_every: float = CHECKPOINT_EVERY,
+    fresh: bool = False,
+) -> list[Pilot]:
+    """Measure thresholds and write them into the user's file (see ``thresholds.thresholds_path``), where ``collect`` finds them.
+
+    Runs that were interrupted are continued from their last checkpoints, which lie in ``.pilots`` beside that file.
+
+    Args:
+        methods: collectors that need a threshold; all such by default.
+        domain: a registered domain.
+        profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``.
+        settings: hyperparameters that differ from the profile, by name. A threshold holds for the same settings only.
+        device: ``cpu``, ``cuda`` or ``auto``.
+        workers: processes; 1 works in this process, None takes one for each core on a CPU, and one for CUDA.
+        checkpoint_every: seconds between two checkpoints at least; they come at the ends of episodes.
+        fresh: start over where a run was interrupted.
+
+    Raises:
+        UsageError: wrong input, or a pilot with other settings was interrupted; nothing has been run.
+        RunError: a run failed, or the file is damaged or cannot be written.
+        Interrupted: the process was asked to leave; what it had done is kept.
+    """
+    chosen, device = resolve_profile(profile), resolve_device(device)
+    check_domain(domain)
+    needy = {
+        name: plugins.load("collectors", name)
+        for name in ([plugins.check_name("collectors", name) for name in methods] if methods else plugins.names("collectors"))
+    }
+    wanting = {name for name, kind in needy.items() if kind.threshold(kind.configure(domain, chosen.collect, settings)) is not None}
+    if methods and (others := [name for name in methods if name not in wanting]):
+        raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
+    found = [settle(name, domain, chosen, settings, piloting=True) for name in needy if name in wanting]
+    for one in found:
+        check_precision(one.kind, one.method, one.loop.precision, device)
+    path = thresholds_path()
+    check_file(path, "the file of thresholds")
+    # What is damaged would be found when the results are added to it, with the work done.
+    read_thresholds(path)
+    count = worker_count(1 if device == "cuda" and workers is None else workers, len(found))
+    folder = path.parent / ".pilots"
+    first, last = (round(share * found[0].loop.steps) for share in (FIRST, LAST))
+    if not fresh:
+        for one in found:
+            _checkpoints(folder, one, last, device).check(_what(one), "pilot")
+    say(f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each, {device}")
+    common = {"first": first, "last": last, "device": device, "folder": folder, "fresh": fresh, "every": checkpoint_every}
+    jobs = [Job(one.method, last, {"setting": one, **common}) for one in found]
+    results = run_jobs(measure, jobs, unit="steps", workers=count, threads=chosen.threads)
+    write_thresholds(path, results)
+    for one in found:
+        _checkpoints(folder, one, last, device).remove()
+    remove_empty(folder)
+    for result in results:
+        say(f"{result.method} on {domain}: {result.name} = {result.value:.6g}, from {result.updates:,} updates")
+    say(f"wrote {path}")
+    return list(results)
+
+
+def measure(advance: Advance, *, setting: Setting, first: int, last: int, device: str, folder: Path, fresh: bool, every: float) -> Pilot:
+    """Run one method with k fixed and measure its threshold (the job of :func:`pilot`).
+
+    What it has done is kept in a folder of its own below ``folder`` until it is done.
+    """
+    kind, loop = setting.kind, replace(setting.loop, steps=last)
+    name = kind.threshold(setting.config)
+    checkpoints = _checkpoints(folder, setting, last, device, every)
+    place = checkpoints.folder
+    with locked(place.with_name(f"{place.name}.lock"), _what(setting)), open_log(None) as nowhere:
+        if fresh:
+            checkpoints.remove()
+        place.mkdir(parents=True, exist_ok=True)
+        collector = kind(setting.space, setting.config, [SEED], device)
+        medians, journal = _Medians(), Journal(place, nowhere)
+        try:
+            run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
+            journal.close()
+            # The last update was in the last of the ``update_every`` steps before the end.
+            skipped = len(medians.values) - (last - first) // loop.update_every
+            values = torch.stack(medians.values[max(skipped, 0) :]) if medians.values else torch.empty(0)
+            _check(values, setting, last, int(collector.horizon.max()))
+        except BrokenDownError:
+            checkpoints.remove()
+            raise
+        except OSError as error:
+            raise unwritable(f"{_what(setting)} into {place}", error) from None
+    return Pilot(
+        name=name,
+        value=float(values.double().quantile(QUANTILE)),
+        method=setting.method,
+        domain=setting.domain,
+        profile=setting.profile,
+        overrides=setting.overrides,
+        key=settings_key(kind, setting.method, setting.domain, setting.loop, setting.config),
+        quantile=QUANTILE,
+        updates=len(values),
+        seed=SEED,
+        first_step=first,
+        last_step=last,
+        command=command_line(
+            "pilot", {"--method": setting.method, "--domain": setting.domain, "--profile": setting.profile}, setting.overrides
+        ),
+        **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+    )
+
+
+def _check(values: torch.Tensor, setting: Setting, last: int, horizon: int) -> None:
+    """Refuse a pilot that says nothing.
+
+    Raises:
+        BrokenDownError: it was too short, or broke down.
+    """
+    if not len(values) or horizon != setting.config.horizon:
+        raise BrokenDownError(f"the pilot of {setting.method} learnt nothing within {last:,} steps; take a longer run or fewer seed_steps.")
+    if not values.isfinite().all():
+        raise BrokenDownError(f"the pilot of {setting.method} broke down: not finite is what it measures; try a smaller learning_rate.")
+
+
+def _what(setting: Setting) -> str:
+    return f"a pilot of {setting.method} on {setting.domain}"
+
+
+def _checkpoints(folder: Path, setting: Setting, last: int, device: str, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+    decisive = {
+        "method": setting.method, "domain": setting.domain, "seeds": [SEED], "steps": last, "profile": setting.profile,
+        "hyperparameters": setting.values, "device": device, **origin(plugins.package("collectors", setting.method)),
+    }  # fmt: skip
+    return Checkpoints(folder / f"{setting.method}-{domain_slug(setting.domain)}-{setting.profile}", decisive, every)
+
+
+class _Medians:
+    """The median of each minibatch of what the rule for k looks at."""
+
+    def __init__(self) -> None:
+        self.values: list[torch.Tensor] = []
+
+    def after_update(self, batch: Batch) -> None:
+        self.values.append(batch.kept["signal"].median())
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"values": torch.stack(self.values) if self.values else torch.empty(0)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.values = list(state["values"])

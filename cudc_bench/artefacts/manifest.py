@@ -1,0 +1,320 @@
+"""The manifest: what a dataset is and where it came from, kept in its Minari metadata under one key.
+
+The fingerprint is a hash of hashes. Each field (observations, actions, rewards, …) has a SHA-256 over its episodes in order; the
+dataset's fingerprint is the SHA-256 over those. A relabelled dataset differs from its base in one field only, so its fingerprint is
+known without reading the base again, and is the same whether it links to the base or is a standalone copy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
+from cudc_bench.errors import RunError, UsageError
+from cudc_bench.files import check_folder, check_regular
+
+KEY = "cudc_bench"
+_LARGEST_STEP = 10**12  # beyond any collection
+IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
+Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class Base(BaseModel):
+    """The task-agnostic dataset that a relabelled one was made from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: str
+    fingerprint: _Sha256
+    linked: bool
+
+
+class RewardFunction(BaseModel):
+    """A user's own reward function that labelled a dataset (see ``cudc_bench.envs.rewards``).
+
+    Attributes:
+        reference: ``module:function``.
+        sha256: of the function's source text.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    reference: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*:[A-Za-z_][A-Za-z0-9_]*$", max_length=200)]
+    sha256: _Sha256
+
+
+class Import(BaseModel):
+    """Where a dataset that was not collected here came from.
+
+    Attributes:
+        source: who collected it, such as ``"ExORL"``.
+        files: how many files it was made from.
+        sha256: SHA-256 over the output of ``sha256sum`` for those files in collection order, with their names alone.
+        clipped: how many numbers of actions were beyond [-1, 1] by rounding, and were clipped.
+        ignored: arrays of the files that were left out.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    source: Source
+    files: int
+    sha256: _Sha256
+    clipped: int = 0
+    ignored: list[str] = []
+
+
+def suspect_limits(steps: int) -> tuple[int, int]:
+    """A schedule of k is suspect if k first grew before the one, or went from there to its bound within the other; environment steps.
+
+    Args:
+        steps: of the whole run; the limits are 50K and 100K for the paper's 1M.
+    """
+    return steps // 20, steps // 10
+
+
+class Growth(NamedTuple):
+    """One growth of the temporal distance k while a dataset was collected; ``step`` counts environment steps."""
+
+    step: int
+    old_k: int
+    new_k: int
+
+    def __str__(self) -> str:
+        return f"{self.old_k}→{self.new_k} at {self.step:,}"
+
+
+class Pilot(BaseModel):
+    """A threshold that a method needed, and the pilot run that measured it (see ``cudc_bench.collectors.running.pilot``).
+
+    Attributes:
+        name, value: of the hyperparameter.
+        method, domain, profile, overrides: what was run.
+        key: hash of the settings for which the value holds; the length of the run and what has no effect in a pilot are left out.
+        quantile: the value is this quantile of the medians of the minibatches of ``updates`` updates.
+        seed, first_step, last_step: of the run, and the environment steps between which these updates happened.
+        versions, commit, dirty, machine, seconds, created, command: provenance.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    value: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    method: str
+    domain: str
+    profile: str
+    overrides: dict[str, Any] = {}
+    key: str
+    quantile: float
+    updates: int
+    seed: int
+    first_step: int
+    last_step: int
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    seconds: float
+    created: str
+    command: str
+
+
+class Manifest(BaseModel):
+    """What a dataset is.
+
+    Attributes:
+        schema_version: of this format.
+        domain, task, method, seed: what was collected; ``task`` is None for a task-agnostic dataset, whose rewards are all 0. An imported
+            dataset's seed is the number that it was given at import.
+        steps, episodes: sizes.
+        profile, overrides: the named set of hyperparameters, and what differs from it; ``"imported"`` and nothing for an imported dataset.
+        hyperparameters, hyperparameters_hash: all values; none are known for an imported dataset.
+        citation: the method's paper, as its plug-in names it.
+        fields: SHA-256 of each field; ``fingerprint``: of all of them.
+        final_state: SHA-256 of the collector's state after the last step (networks, optimisers, random streams), all members of its stack
+            included; empty where it is not known. A relabelled dataset has its base's.
+        base: of a relabelled dataset.
+        reward: the user's function that labelled it, for a task that is none of the domain's own.
+        pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
+        imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
+        diagnostics: the last line of the collection's diagnostics and the method's own summary; a relabelled dataset has its base's.
+        versions, commit, dirty, machine, seconds, created, command: provenance.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    domain: str
+    task: str | None = None
+    method: str
+    seed: int
+    steps: int
+    episodes: int
+    profile: str
+    overrides: dict[str, Any] = {}
+    hyperparameters: dict[str, Any]
+    hyperparameters_hash: str
+    citation: str = ""
+    fields: dict[str, _Sha256]
+    fingerprint: _Sha256
+    final_state: _Sha256 | Literal[""] = ""
+    base: Base | None = None
+    reward: RewardFunction | None = None
+    pilot: Pilot | None = None
+    imported: Import | None = None
+    diagnostics: dict[str, Any] = {}
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    seconds: float
+    created: str
+    command: str
+
+    @property
+    def label(self) -> str:
+        """The method, with its source where this project did not collect it: ``"proto (ExORL)"``."""
+        return self.method if self.imported is None else f"{self.method} ({self.imported.source})"
+
+    @property
+    def has_episode_seeds(self) -> bool:
+        """Whether each episode's seed is known and stored, so that resetting with it gives the episode's first observation."""
+        return self.imported is None
+
+    @property
+    def k_growth(self) -> list[Growth]:
+        """Every growth of k in the order of the method's summary; empty for methods that tell of none. What is malformed is left out."""
+        told = self.diagnostics.get("k_increments")
+        rows = [row for row in told if isinstance(row, dict)] if isinstance(told, list) else []
+        found = [Growth(*(cast(int, row.get(name)) for name in Growth._fields)) for row in rows]
+        return [one for one in found if all(type(value) is int and 0 <= value < _LARGEST_STEP for value in one)]
+
+    @property
+    def k_grew(self) -> str:
+        """The growth of k for people: ``"3→4 at 84,000, 4→5 at 120,008"``; empty where there is none."""
+        return ", ".join(map(str, self.k_growth))
+
+    @property
+    def has_suspect_schedule(self) -> bool:
+        """Whether the method itself found that k grew too early or too fast to mean anything."""
+        return self.diagnostics.get("k_schedule_suspect") is True
+
+    @property
+    def notes(self) -> list[str]:
+        """What whoever picks a dataset from a list should know of it, in a few words each."""
+        return ["k schedule suspect"] if self.has_suspect_schedule else []
+
+    def describe(self) -> str:
+        """What is there, in a few words, for messages: method, profile or source, seed, steps."""
+        if self.imported is not None:
+            return f"{self.method} imported from {self.imported.source}, seed {self.seed}, {self.steps:,} steps"
+        changed = " with " + ", ".join(f"{k}={v}" for k, v in sorted(self.overrides.items())) if self.overrides else ""
+        return f"{self.method}, profile {self.profile}{changed}, seed {self.seed}, {self.steps:,} steps"
+
+
+class FieldHasher:
+    """Hashes the fields of a dataset as its episodes are written or read, in order."""
+
+    def __init__(self) -> None:
+        self._hashes: dict[str, Any] = {}
+
+    def update(self, name: str, array: NDArray[Any]) -> None:
+        """Add one episode's array of a field; its dtype and shape count, too."""
+        digest = self._hashes.setdefault(name, hashlib.sha256())
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of each field, by name."""
+        return {name: digest.hexdigest() for name, digest in sorted(self._hashes.items())}
+
+
+def fingerprint(fields: dict[str, str]) -> str:
+    """The dataset's fingerprint from the hashes of its fields."""
+    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+
+
+def metadata_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:
+    """Minari's metadata file of a dataset."""
+    return dataset_path(dataset_id, root) / "data" / "metadata.json"
+
+
+def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
+    """Whether anything stands at that id, ours or not."""
+    return dataset_path(dataset_id, root).exists()
+
+
+def stored_ids(root: Path | None = None) -> list[DatasetId]:
+    """The ids of all complete datasets below the root in the order of their names, ours or not, whether they can be read or not."""
+    root = check_folder(root or datasets_root(), "the dataset root", writable=False)
+    found = []
+    for path in sorted(root.rglob("data/metadata.json")):
+        name = path.parents[1].relative_to(root).as_posix()
+        # What has no id cannot be asked for; what begins with a dot is still being built.
+        with suppress(UsageError):
+            found.append(parse_id(name))
+    return found
+
+
+def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict[str, Any]:
+    """Read Minari's metadata of one of our datasets, with the manifest in it unchecked.
+
+    Raises:
+        UsageError: there is no such dataset, or it is not one of ours.
+        RunError: the file is damaged.
+    """
+    path = metadata_path(dataset_id, root)
+    try:
+        check_regular(path)
+        metadata = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
+    except NotADirectoryError:
+        check_folder(root or datasets_root(), "the dataset root", writable=False)
+        raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
+    except RecursionError:
+        raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): they are nested too deeply.") from None
+    except (OSError, ValueError) as error:
+        raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
+    if not isinstance(metadata, dict) or KEY not in metadata:
+        raise UsageError(f"'{dataset_id}' was not made by cudc-bench: it has no manifest.")
+    return metadata
+
+
+def read_manifest(dataset_id: DatasetId | str, root: Path | None = None) -> Manifest:
+    """Read a dataset's manifest.
+
+    Raises:
+        UsageError: there is no such dataset, or it is not one of ours.
+        RunError: its metadata is damaged.
+    """
+    metadata = read_metadata(dataset_id, root)
+    try:
+        return Manifest.model_validate(metadata[KEY])
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RunError(f"the manifest of '{dataset_id}' is damaged: {where}: {first['msg']}.") from None
+
+
+def check_free(dataset_id: DatasetId, overwrite: bool, root: Path | None = None) -> None:
+    """Refuse to replace an existing dataset unless told to.
+
+    Raises:
+        UsageError: the id is taken; the message says by what, and the ways out.
+    """
+    if overwrite or not exists(dataset_id, root):
+        return
+    try:
+        there = read_manifest(dataset_id, root).describe()
+    except (UsageError, RunError):
+        there = "not a dataset of cudc-bench"
+    raise UsageError(f"'{dataset_id}' exists ({there}); use --overwrite, --dataset-id or another --seed.")

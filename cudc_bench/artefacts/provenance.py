@@ -1,0 +1,135 @@
+"""Where a result came from: versions, commit and machine, as every manifest and record states them."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import shlex
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("cudc-bench", "torch", "mujoco", "dm-control", "gymnasium", "minari", "numpy", "h5py")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on; "missing" for one that is not installed."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "missing"
+    return found
+
+
+@cache
+def commit() -> tuple[str | None, bool]:
+    """The commit of the checkout that this package runs from, and whether it has local changes; (None, False) outside one."""
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None, False
+    try:
+        head = _git(folder, "rev-parse", "HEAD")
+        return head, bool(_git(folder, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return None, False
+
+
+def knows_commit(name: str) -> bool:
+    """Whether the checkout that this package runs from has a commit of that full name; False outside one."""
+    folder = Path(__file__).resolve().parents[2]
+    if re.fullmatch("[0-9a-f]{40}", name) is None or not (folder / ".git").exists():
+        return False
+    try:
+        _git(folder, "cat-file", "-e", f"{name}^{{commit}}")
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=10)
+    return done.stdout.strip()
+
+
+@cache
+def processor() -> str:
+    """The processor's name as the system gives it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def command_line(command: str, options: Mapping[str, str], overrides: Mapping[str, Any], *flags: str) -> str:
+    """The command that makes something again, quoted for a shell.
+
+    Args:
+        command: the sub-command, with its arguments.
+        options: name to value, as ``{"--seed": "1"}``.
+        overrides: hyperparameters for ``--set``.
+        flags: options without a value.
+    """
+    words = ["cudc-bench", *command.split(), *(word for option in options.items() for word in option)]
+    for name, value in overrides.items():
+        words += ["--set", f"{name}={json.dumps(value) if isinstance(value, list) else value}"]
+    return shlex.join([*words, *flags])
+
+
+def is_own_command(text: str) -> bool:
+    """Whether a command line, which people may copy from somebody else's record, is one of ours and nothing else to any shell."""
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        return False
+    return words[:1] == ["cudc-bench"] and shlex.join(words) == text and text.isprintable()
+
+
+def stamp(seconds: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The fields of a manifest that say what it was made with, on what and when, apart from the command.
+
+    Args:
+        seconds: of work.
+        device, threads: used for it.
+        packages: versions of others that the result depends on, such as the package of a plug-in.
+    """
+    head, dirty = commit()
+    return {
+        "versions": versions() | dict(packages or {}),
+        "commit": head,
+        "dirty": dirty,
+        "machine": machine(device, threads),
+        "seconds": round(seconds, 1),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def origin(packages: Mapping[str, str]) -> dict[str, Any]:
+    """The code that a run's result depends on: a run that was interrupted goes on with the same, or not at all.
+
+    Args:
+        packages: as in :func:`stamp`.
+    """
+    return {"versions": versions() | dict(packages), "commit": commit()[0]}
+
+
+def machine(device: str, threads: int) -> dict[str, Any]:
+    """What a run ran on: system, processor, cores, device and threads used."""
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "device": device,
+        "threads": threads,
+    }

@@ -1,0 +1,331 @@
+"""Run records: one JSON file for each evaluated member. The leaderboard reads nothing else.
+
+A record says what was trained on what, with every hyperparameter, every episode's return at every evaluation, and the command that
+makes it again. The schema is versioned; unknown fields and numbers that are not finite are refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from cudc_bench.artefacts.manifest import RewardFunction, Source
+from cudc_bench.errors import RunError
+from cudc_bench.files import check_regular, unwritable, write_atomically
+from cudc_bench.settings.evaluate_config import BEFORE
+
+SCHEMA_VERSION = 1
+REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.artefacts.references``
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+DomainName = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63})$")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Strict(BaseModel):
+    """Refuses what it does not know, and does not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DatasetReference(Strict):
+    """The dataset that was trained on.
+
+    Attributes:
+        id: the relabelled dataset's id.
+        fingerprint: SHA-256 of its arrays (see ``cudc_bench.artefacts.manifest``).
+        domain, task, method, seed, steps: what it is.
+        profile: at which profile it was collected.
+        overrides: hyperparameters of the collection that differ from that profile.
+        reward: the user's own function that labelled it, if it is none of the domain's tasks.
+        source: who collected it, such as ``"ExORL"``, if it was imported; None if this project's own collector did.
+        used: how many of its first transitions were trained on, if not all.
+    """
+
+    id: str
+    fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    domain: DomainName
+    task: Name
+    method: Name
+    seed: Annotated[int, Field(ge=0)]
+    steps: Annotated[int, Field(ge=1)]
+    profile: Name
+    overrides: dict[str, Any] = {}
+    reward: RewardFunction | None = None
+    source: Source | None = None
+    used: Annotated[int, Field(ge=1)] | None = None
+
+
+class Evaluation(Strict):
+    """Undiscounted returns of the episodes of one evaluation after so many gradient steps."""
+
+    step: Annotated[int, Field(ge=0)]
+    returns: Annotated[list[Finite], Field(min_length=1)]
+
+    @property
+    def mean(self) -> float:
+        """The score: mean return over the episodes."""
+        return sum(self.returns) / len(self.returns)
+
+
+class TrainingMetrics(Strict):
+    """Losses and values of the minibatch after so many gradient steps."""
+
+    step: Annotated[int, Field(ge=0)]
+    values: dict[str, Finite]
+
+
+class Submission(Strict):
+    """Who handed in a record that was not made here; nothing but ``cudc-bench submit`` writes it.
+
+    Attributes:
+        by: a short name, which stands behind the method in tables.
+        url: where more is to be found about it.
+        note: one line of theirs or of whoever took it in.
+        sha256: of the file as it was handed in.
+        submitted: UTC time, ISO 8601.
+    """
+
+    by: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+    url: Annotated[str, Field(pattern=r"^https?://[A-Za-z0-9._~:/?#@!$&*+,;=%-]+$", max_length=300)] | None = None
+    note: Annotated[str, Field(min_length=1, max_length=300)] | None = None
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    submitted: str
+
+    @field_validator("note")
+    @classmethod
+    def _printable(cls, note: str | None) -> str | None:
+        if note is not None and not note.isprintable():
+            raise ValueError("it is not one line of printable text")
+        return note
+
+
+class Record(Strict):
+    """One offline training run.
+
+    Attributes:
+        schema_version: of this format.
+        dataset: what was trained on.
+        algorithm: the evaluator's name.
+        profile: of the training.
+        overrides: hyperparameters of the training that differ from the profile.
+        seed: of the training, which is the dataset's own unless another was asked for.
+        hyperparameters: all of them.
+        hyperparameters_hash: of ``hyperparameters``.
+        milestones: gradient steps whose scores go into tables.
+        curve: evaluations in the order of their steps; the first at 0, the last after the last step.
+        final: a further, larger evaluation after the last step.
+        late: the same at the evaluation points shortly before, in the order of their steps. A file without it is of a run that had none, as
+            all runs once had.
+        metrics: training metrics at the evaluations.
+        seconds: wall time of the whole member's run.
+        versions: of Python and the packages that matter.
+        commit: of this project's code, ``None`` when it is not run from a checkout; ``dirty`` if it had local changes.
+        machine: processor, threads, device.
+        command: makes this record again.
+        created: UTC time, ISO 8601.
+        submission: who handed it in, if it was not made here. A file without it has the form that it always had; programs that do not
+            know the field refuse the file rather than take somebody's run for their own, so that the version stays.
+    """
+
+    schema_version: Literal[1] = 1
+    dataset: DatasetReference
+    algorithm: Name
+    profile: Name
+    overrides: dict[str, Any] = {}
+    seed: Annotated[int, Field(ge=0)]
+    hyperparameters: dict[str, Any]
+    hyperparameters_hash: str
+    milestones: Annotated[list[int], Field(min_length=1)]
+    curve: Annotated[list[Evaluation], Field(min_length=1)]
+    final: Evaluation
+    late: list[Evaluation] = []
+    metrics: list[TrainingMetrics] = []
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    versions: dict[str, str]
+    commit: str | None = None
+    dirty: bool = False
+    machine: dict[str, Any]
+    command: str
+    created: str
+    submission: Submission | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = serialise(self)
+        for name in ("submission", "late"):
+            if not values[name]:
+                del values[name]
+        return values
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Record:
+        steps = [evaluation.step for evaluation in self.curve]
+        if any(later <= earlier for earlier, later in pairwise(steps)):
+            raise ValueError("the evaluations of 'curve' are not in the order of their steps")
+        if self.final.step != steps[-1]:
+            raise ValueError("'final' was not taken after the last step of 'curve'")
+        late = [evaluation.step for evaluation in self.late]
+        if late and late != steps[-1 - len(late) : -1]:
+            raise ValueError("'late' was not taken at the last evaluations of 'curve' before 'final'")
+        return self
+
+    @property
+    def group(self) -> str:
+        """The table that this record belongs to: results of different profiles or settings never share one.
+
+        The profile's name, followed by whatever differs from it, as in ``"cpu (collect: steps=100000)"``. An imported dataset was
+        collected at no profile; it belongs to the training's, in a column of its own.
+        """
+        return self._group(self.dataset.used)
+
+    @property
+    def group_of_all_sizes(self) -> str:
+        """The group of the same run on all of the dataset: equal for records that differ in nothing but how much of it they used."""
+        return self._group(None)
+
+    def _group(self, used: int | None) -> str:
+        changes = []
+        if self.dataset.profile != self.profile and self.dataset.source is None:
+            changes.append(f"collected at {self.dataset.profile}")
+        if self.dataset.reward is not None:
+            # A function that was changed on the way is another task.
+            changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
+        if used is not None:
+            changes.append(f"first {used:,} transitions")
+        for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.settings)):
+            if overrides:
+                changes.append(f"{stage}: {settings_text(overrides)}")
+        return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What differs from the profile as it is now: ``overrides``, and what the run did that was nobody's choice when it was made."""
+        return {name: value for name, value in BEFORE.items() if name not in self.hyperparameters} | self.overrides
+
+    @property
+    def again(self) -> str:
+        """The command that makes this record again with this version; ``command`` does so with the one that made it."""
+        unsaid = [f"--set {name}={value}" for name, value in BEFORE.items() if name not in self.hyperparameters]
+        return " ".join([self.command, *unsaid])
+
+    @property
+    def finals(self) -> list[Evaluation]:
+        """The larger evaluations at the end of the training, whose mean is the score after the last step; ``final`` is the last alone."""
+        return [*self.late, self.final]
+
+    @property
+    def conclusion(self) -> Evaluation:
+        """All episodes of the larger evaluations together."""
+        return Evaluation(step=self.final.step, returns=[value for evaluation in self.finals for value in evaluation.returns])
+
+    def evaluation(self, milestone: int) -> Evaluation | None:
+        """The episodes behind the score at a milestone, if there are any: after the last step those of the larger evaluations."""
+        if milestone == self.final.step:
+            return self.conclusion
+        return next((evaluation for evaluation in self.curve if evaluation.step == milestone), None)
+
+    def score(self, milestone: int) -> float | None:
+        """The mean return at a milestone (see :meth:`evaluation`), or None if nothing was evaluated there."""
+        found = self.evaluation(milestone)
+        return None if found is None else found.mean
+
+
+def settings_text(overrides: Mapping[str, Any]) -> str:
+    """Settings that differ from a profile, by name: ``"gamma=0.9, steps=5"``; as JSON, in which no two values look alike."""
+    return ", ".join(f"{name}={json.dumps(overrides[name])}" for name in sorted(overrides))
+
+
+def record_path(
+    results: Path, dataset_id: str, algorithm: str, seed: int, profile: str, used: int | None = None, training_seed: int | None = None
+) -> Path:
+    """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``, by the dataset's seed.
+
+    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``, and that of a training with another seed than the
+    dataset's ``<algorithm>-seed<seed>-training<training seed>.json``.
+    """
+    part = "" if used is None else f"-first{used}"
+    training = "" if training_seed in (None, seed) else f"-training{training_seed}"
+    return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}{training}.json")
+
+
+def record_files(folder: Path) -> list[Path]:
+    """Every record below a folder, sorted; none of what is kept there of runs that are not done, which is hidden, and no reference."""
+    return [path for path in visible_files(folder, "*.json") if path.name != REFERENCE]
+
+
+def visible_files(folder: Path, pattern: str) -> list[Path]:
+    """The files below a folder that fit a pattern, sorted, without hidden ones and those in hidden folders."""
+    found = (path for path in sorted(folder.rglob(pattern)) if not path.is_dir())
+    return [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+
+
+def to_json(record: Record) -> str:
+    """A record as it stands in its file."""
+    return record.model_dump_json(indent=1) + "\n"
+
+
+def write_record(path: Path, record: Record) -> None:
+    """Write a record atomically: a reader sees the whole file or none.
+
+    Raises:
+        RunError: it cannot be written there.
+    """
+    try:
+        write_atomically(path, to_json(record))
+    except OSError as error:
+        raise unwritable(f"the record {path}", error) from None
+
+
+def read_record(path: Path) -> Record:
+    """Read and check one record.
+
+    Raises:
+        RunError: the file is missing, is not JSON, or does not fit the schema.
+    """
+    return parse_record(read_content(path), path)
+
+
+def read_content(path: Path) -> bytes:
+    """What is in a record's file.
+
+    Raises:
+        RunError: it cannot be read.
+    """
+    try:
+        check_regular(path)
+        return path.read_bytes()
+    except OSError as error:
+        raise RunError(f"cannot read the record {path}: {error.strerror}.") from None
+
+
+def parse_record(content: bytes, path: Path) -> Record:
+    """Check what is in a record's file; ``path`` is for messages.
+
+    Raises:
+        RunError: it is not JSON, or does not fit the schema.
+    """
+    try:
+        return Record.model_validate_json(content)
+    except ValidationError as error:
+        raise RunError(f"{path} is not a run record: {first_fault(error)}.") from None
+
+
+def first_fault(error: ValidationError) -> str:
+    """Where a file does not fit its schema, and why not."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the file"
+    return f"{where}: {first['msg']}"

@@ -1,0 +1,114 @@
+"""The command line: sub-commands are found through entry points, errors end in one line.
+
+Nothing heavy is imported before a command runs, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
+from typing import Annotated, Any
+
+import typer
+
+from cudc_bench import plugins
+from cudc_bench.errors import CudcBenchError
+from cudc_bench.execution.interrupts import Interrupted
+from cudc_bench.text import shortened, visible
+
+# The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
+_CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+_ORDER = (
+    "run", "collect", "pilot", "import-exorl", "relabel", "evaluate", "reference", "render", "export", "leaderboard", "submit",
+    "diagnostics", "stats", "verify", "list", "doctor",
+)  # fmt: skip
+
+
+class _Left(CudcBenchError):
+    """A run was interrupted and has kept its state; unlike the interruption itself, this gets past typer."""
+
+    def __init__(self, interrupted: Interrupted) -> None:
+        super().__init__(interrupted.message)
+        self.exit_code = interrupted.exit_code
+
+
+def _leaving_well(command: Callable[..., None]) -> Callable[..., None]:
+    @wraps(command)
+    def run(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except Interrupted as error:
+            raise _Left(error) from None
+
+    return run
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"cudc-bench {version('cudc-bench')}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Collect data without rewards, relabel it, train offline on it, and compare."""
+
+
+def build_app() -> typer.Typer:
+    """The application with every installed sub-command, ours first."""
+    app = typer.Typer(name="cudc-bench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    app.callback()(_root)
+    names = plugins.names("commands")
+    for name in sorted(names, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)):
+        app.command(name)(_leaving_well(plugins.load("commands", name)))
+    return app
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted (143 by SIGTERM)."""
+    try:
+        code = build_app()(arguments, standalone_mode=False)
+        if code == 130:  # typer takes Ctrl-C for itself, and says nothing
+            _complain("interrupted.")
+    except CudcBenchError as error:
+        _complain(str(error))
+        code = error.exit_code
+    except _CommandLineError as error:
+        # Without any argument the help has been shown, and there is nothing to say.
+        if message := error.format_message():  # type: ignore[attr-defined]
+            _complain(message)
+        code = 2
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted.")
+        code = 130
+    except BrokenPipeError:
+        code = 1
+    except OSError as error:  # of a library that writes by itself
+        where = f" ({error.filename})" if error.filename else ""
+        _complain(f"the system refused to go on: {error.strerror or error}{where}.")
+        code = 1
+    except (MemoryError, RuntimeError) as error:
+        if not _is_out_of_memory(error):
+            raise
+        _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.")
+        code = 1
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    """Whether NumPy or PyTorch could not get the memory; PyTorch says so in a RuntimeError's text only."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
+
+
+def _complain(message: str) -> None:
+    with suppress(OSError):  # nobody may be there any more to read it
+        print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""``cudc-bench doctor``: is this machine ready?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import requires
+
+import typer
+
+
+def doctor() -> None:
+    """Check versions, pins, threads, CUDA and one step of each environment."""
+    from rich.console import Console
+
+    console = Console()
+    failed = 0
+    for name, check in _CHECKS:
+        try:
+            good, detail = check()
+        except Exception as error:  # a check that breaks in any way is a finding to report, not a crash
+            good, detail = False, f"{type(error).__name__}: {error}"
+        failed += not good
+        console.print(f"[{'green' if good else 'red'}]{'ok  ' if good else 'FAIL'}[/] ", end="")
+        console.print(f"{name:<14} {detail}", markup=False, highlight=False)
+    if failed:
+        console.print(f"{failed} of {len(_CHECKS)} checks failed; reinstall with: pip install -c constraints.txt cudc-bench")
+        raise typer.Exit(1)
+
+
+def _python() -> tuple[bool, str]:
+    import platform
+    import sys
+
+    return (3, 11) <= sys.version_info[:2] < (3, 13), f"{platform.python_version()} (3.11 and 3.12 work)"
+
+
+def _versions() -> tuple[bool, str]:
+    from packaging.requirements import Requirement
+
+    from cudc_bench.artefacts.provenance import versions
+
+    ranges = {r.name: r.specifier for r in map(Requirement, requires("cudc-bench") or []) if r.marker is None}
+    wrong = [
+        f"{name} {found} (needs {ranges[name]})"
+        for name, found in versions().items()
+        if name in ranges and (found == "missing" or found not in ranges[name])
+    ]
+    # A local label such as +cpu is part of the version and does not change whether it is in range.
+    return not wrong, "; ".join(wrong) or ", ".join(f"{name} {found}" for name, found in versions().items())
+
+
+def _processor() -> tuple[bool, str]:
+    import torch
+
+    from cudc_bench.artefacts.provenance import processor
+    from cudc_bench.execution.parallel import cores
+
+    return True, f"{processor()}, {cores()} cores, torch uses {torch.get_num_threads()} threads"
+
+
+def _cuda() -> tuple[bool, str]:
+    import torch
+
+    from cudc_bench.settings.profiles import resolve_profile
+
+    found = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none"
+    return True, f"{found}; --profile auto means {resolve_profile('auto').name}"
+
+
+def _rendering() -> tuple[bool, str]:
+    import os
+
+    from cudc_bench.envs.drawing import INSTALL, probe
+
+    # Nothing else draws, so that its absence is no fault.
+    backend = probe(os.environ.get("MUJOCO_GL"))
+    return True, f"cudc-bench render {f'works, with {backend}' if backend else f'would not work: {INSTALL}'}"
+
+
+def _root() -> tuple[bool, str]:
+    import shutil
+
+    from cudc_bench.artefacts.ids import datasets_root
+    from cudc_bench.files import check_folder
+
+    root = check_folder(datasets_root(), "the dataset root")
+    place = root
+    while not place.exists():
+        place = place.parent
+    return True, f"{root}, {shutil.disk_usage(place).free / 1e9:,.0f} GB free"
+
+
+def _environment() -> tuple[bool, str]:
+    import numpy as np
+
+    from cudc_bench.envs import DOMAINS, make_simulators, reward_function
+
+    for domain in DOMAINS.values():
+        simulator = make_simulators(domain.name, 1)[0]
+        simulator.reset(1)
+        simulator.step(np.zeros(domain.action_size, np.float32))
+        quantities = np.empty(len(domain.quantities))
+        simulator.quantities(quantities)
+        rewards = reward_function(domain.name)(quantities)
+        if rewards.shape != (len(domain.tasks),) or not np.isfinite(rewards).all():
+            return False, f"{domain.name}: one step gave rewards {rewards}"
+    return True, f"one step of {', '.join(DOMAINS)}"
+
+
+_CHECKS: tuple[tuple[str, Callable[[], tuple[bool, str]]], ...] = (
+    ("python", _python),
+    ("versions", _versions),
+    ("processor", _processor),
+    ("cuda", _cuda),
+    ("rendering", _rendering),
+    ("dataset root", _root),
+    ("environment", _environment),
+)

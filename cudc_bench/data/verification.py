@@ -1,0 +1,417 @@
+"""Proves a dataset: that it is whole and unchanged, and that the simulator and the tasks' rewards agree with every number in it.
+
+A fingerprint shows that nothing changed since the dataset was made, but whoever changes the arrays can compute it anew. The simulator
+cannot be talked round: episodes are repeated from their seeds, and rewards computed again from the states.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
+from cudc_bench.artefacts.manifest import FieldHasher, Manifest, fingerprint, read_manifest, read_metadata
+from cudc_bench.artefacts.provenance import processor, versions
+from cudc_bench.data.layout import MAIN_FILE, has_reset_row
+from cudc_bench.data.metadata import minari_metadata
+from cudc_bench.data.reader import check_base, read_field
+from cudc_bench.data.storage import LINKED, READ_ERRORS, check_links, open_field, row_kinds
+from cudc_bench.data.writer import episode_attributes
+from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.envs.playback import Fault, Playback
+from cudc_bench.errors import CudcBenchError, RunError, UsageError
+from cudc_bench.execution.progress import Advance, bars
+from cudc_bench.files import check_regular
+from cudc_bench.settings.config import config_hash
+from cudc_bench.settings.seeding import episode_seed
+
+Array = NDArray[Any]
+SAMPLE = 20_000
+
+_METADATA = (
+    "dataset_id", "data_format", "total_episodes", "total_steps", "dataset_size", "observation_space", "action_space", "algorithm_name",
+    "combined_datasets", "env_spec",
+)  # fmt: skip
+# What other mathematical libraries may do to a reward of at most 1; where versions and processor are the same, nothing.
+_REWARD_ROUNDING = 1e-6
+_RESTORE = "restore it from a copy, or make it again with --overwrite"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check that was passed: its name, and what was checked and how much of it."""
+
+    name: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A dataset that passed.
+
+    Attributes:
+        dataset_id: which one.
+        fingerprint: of its arrays, computed anew.
+        checks: in the order in which they were made.
+    """
+
+    dataset_id: str
+    fingerprint: str
+    checks: tuple[Check, ...]
+
+
+def verify(dataset_id: DatasetId | str, *, sample: int | None = SAMPLE, root: str | Path | None = None) -> Verification:
+    """Prove a dataset.
+
+    All arrays are read, hashed and checked, and all rewards computed again. Of the transitions, about ``sample`` are held against the
+    simulator, in whole episodes that depend on the fingerprint alone; if a hash differs, all of them, to find the damage.
+
+    Args:
+        dataset_id: such as ``"walker/cudc-v0"``.
+        sample: transitions to simulate; None takes all.
+        root: Minari's root unless given.
+
+    Returns:
+        What was checked, all of it passed.
+
+    Raises:
+        UsageError: there is no such dataset, it is not one of ours, or ``sample`` is less than 1.
+        RunError: a check failed; the message names the check, the first failing episode and step, and what to do.
+    """
+    if sample is not None and sample < 1:
+        raise UsageError(f"--sample takes 1 or more transitions, not {sample}; --all takes all.")
+    checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
+    place = None if root is None else Path(root)
+    return _Verifier(checked, read_manifest(checked, place), sample, place).run()
+
+
+def _environment(spec: Any) -> Any:
+    """What an environment's specification says of the environment; the rest depends on the version of Gymnasium that wrote it."""
+    try:
+        values = json.loads(spec)
+        return {key: values[key] for key in ("id", "entry_point", "max_episode_steps", "kwargs")}
+    except (ValueError, TypeError, KeyError):
+        return spec
+
+
+class _Verifier:
+    """The checks of one dataset; each method is one, and returns what it checked."""
+
+    def __init__(self, dataset_id: DatasetId, manifest: Manifest, sample: int | None, root: Path | None) -> None:
+        self._id, self._manifest, self._sample, self._root = dataset_id, manifest, sample, root
+        self._path = dataset_path(dataset_id, root) / "data" / MAIN_FILE
+        self._changed: list[str] = []
+
+    def run(self) -> Verification:
+        """Make all checks in order."""
+        manifest = self._manifest
+        checks = [Check("manifest", self._check_manifest())]
+        if manifest.base is not None:
+            checks.append(Check("base", self._check_base()))
+        with ExitStack() as stack:
+            with self._reading():
+                check_regular(self._path)
+                file = stack.enter_context(h5py.File(self._path, "r"))
+                checks.append(Check("file", self._check_file(file)))
+                with bars([(f"{self._id}: reading", manifest.episodes)], "episodes") as (advance,):
+                    checks += self._check_arrays(file, advance)
+            if manifest.has_episode_seeds:
+                checks.append(Check("seeds", self._check_seeds(file)))
+            checks.append(Check("rewards", self._check_rewards(file)))
+            checks.append(Check("simulation", self._check_simulation(file)))
+        if self._changed:
+            self._fail("fingerprint", f"{', '.join(self._changed)} changed after it was made, by less than a simulation here can locate")
+        return Verification(str(self._id), manifest.fingerprint, tuple(checks))
+
+    # ------------------------------------------------------------------------------------------------------------------------ failing
+
+    def _fail(self, check: str, what: str, episode: int | None = None, step: int | None = None, remedy: str = _RESTORE) -> NoReturn:
+        place = "" if episode is None else f" in episode {episode}" if step is None else f" in episode {episode} at step {step}"
+        # A hash that does not fit is the surer finding; what was found after it says where.
+        if self._changed and check != "fingerprint":
+            what = f"{', '.join(self._changed)} changed after it was made: {check}: {what}"
+            check = "fingerprint"
+        raise RunError(f"'{self._id}' fails the check '{check}'{place}: {what}; {remedy}.")
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        try:
+            yield
+        except CudcBenchError:
+            raise
+        except READ_ERRORS as error:
+            words = (str(error).splitlines() or [type(error).__name__])[0]
+            self._fail("file", f"{self._path} cannot be read, it is truncated or damaged ({words})")
+
+    # ----------------------------------------------------------------------------------------------------------------------- manifest
+
+    def _check_manifest(self) -> str:
+        manifest = self._manifest
+        fail = partial(self._fail, "manifest")
+        try:
+            facts = check_domain(manifest.domain)
+            if manifest.task is not None and manifest.reward is None:
+                check_tasks(facts, [manifest.task])
+            expected = minari_metadata(self._path.parent, manifest, str(self._id), "")
+        except UsageError as error:
+            fail(str(error).rstrip("."))
+        except OSError as error:
+            self._fail("file", f"{self._path} cannot be read ({error.strerror})")
+        if config_hash(manifest.hyperparameters) != manifest.hyperparameters_hash:
+            fail("the hyperparameters do not fit their hash")
+        if fingerprint(manifest.fields) != manifest.fingerprint:
+            fail("the fingerprint is not that of the fields' hashes")
+        if manifest.imported is None and manifest.hyperparameters.get("steps") != manifest.steps:
+            fail(f"it has {manifest.steps:,} steps, but was collected with steps={manifest.hyperparameters.get('steps')!r:.40}")
+        if not 1 <= manifest.episodes <= manifest.steps:
+            fail(f"{manifest.steps:,} steps cannot form {manifest.episodes:,} episodes")
+        missing = {"observations", "actions", "rewards", "terminations", "truncations"} - manifest.fields.keys()
+        if missing:
+            fail(f"it names no hash of {', '.join(sorted(missing))}")
+        metadata = read_metadata(self._id, self._root)
+        for key in _METADATA:
+            there, wanted = metadata.get(key), expected.get(key)
+            if key == "env_spec":
+                there, wanted = _environment(there), _environment(wanted)
+            if there != wanted:
+                fail(f"Minari's metadata have {key} {there!r:.99}, but by the manifest and the file it is {wanted!r:.99}")
+        return f"{len(_METADATA)} entries of Minari's metadata, hash of {len(manifest.hyperparameters)} hyperparameters"
+
+    def _check_base(self) -> str:
+        base = self._manifest.base
+        assert base is not None
+        if not base.linked:
+            return f"copied from {base.id}, stands alone"
+        try:
+            check_base(self._manifest, self._id, self._root)
+            there = read_manifest(base.id, self._root).fields
+        except CudcBenchError as error:
+            raise RunError(f"'{self._id}' fails the check 'base': {error}") from None
+        other = sorted(name for name in self._manifest.fields if name != "rewards" and self._manifest.fields[name] != there.get(name))
+        if other:
+            self._fail("base", f"the hashes of {', '.join(other)} are not those of its base '{base.id}'")
+        return f"{base.id} is there, with the fingerprint that it was made from"
+
+    # --------------------------------------------------------------------------------------------------------------------------- file
+
+    def _check_file(self, file: h5py.File) -> str:
+        """Groups, members, links and sizes; no array is read."""
+        manifest, fields = self._manifest, self._manifest.fields
+        fail = partial(self._fail, "file")
+        names = [f"episode_{index}" for index in range(manifest.episodes)]
+        found = set(file.keys())
+        if found != set(names):
+            odd = sorted(found ^ set(names))[0]
+            fail(f"the manifest has {manifest.episodes:,} episodes, the file {len(found):,} groups ('{odd:.40}' is in one of them only)")
+        members = {name.partition("/")[0] for name in fields}
+        infos = {name.removeprefix("infos/") for name in fields if name.startswith("infos/")}
+        linked = manifest.base is not None and manifest.base.linked
+        facts, steps = check_domain(manifest.domain), 0
+        # Nothing is followed before it is known where it leads.
+        check_links(file, (), range(manifest.episodes))
+        own = [name for name in fields if not (linked and name.partition("/")[0] in LINKED)]
+        if manifest.base is not None and linked:
+            with h5py.File(dataset_path(manifest.base.id, self._root) / "data" / MAIN_FILE, "r") as base:
+                check_links(base, set(fields) - set(own), range(manifest.episodes))
+        for index, name in enumerate(names):
+            group = file[name]
+            if set(group.keys()) != members:
+                fail(f"it holds {', '.join(sorted(group.keys())):.99}, not {', '.join(sorted(members))}", index)
+            check_links(file, {name.partition("/")[0] for name in own}, [index])
+            for member in LINKED if linked else ():
+                self._check_link(group, member, index)
+            if infos and not isinstance(group["infos"], h5py.Group):
+                fail("its infos are no group", index)
+            if infos and set(group["infos"].keys()) != infos:
+                fail(f"its infos are {', '.join(sorted(group['infos'].keys())):.99}, not {', '.join(sorted(infos))}", index)
+            check_links(file, own, [index])
+            length = int(group.attrs["total_steps"])
+            last = index == manifest.episodes - 1
+            # Files of other origin hold episodes of any length up to the limit.
+            shortest = 1 if last or manifest.imported is not None else facts.episode_length
+            if not shortest <= length <= facts.episode_length:
+                fail(f"it has {length:,} steps; all but the last one have {facts.episode_length:,}", index)
+            if int(group.attrs["id"]) != index:
+                fail(f"it is stored as episode {int(group.attrs['id'])}", index)
+            numbers = episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1))
+            for key in numbers:
+                if np.ndim(group.attrs[key]) or np.asarray(group.attrs[key]).dtype.kind not in "iuf":
+                    fail(f"its attribute {key} is no number", index)
+            for field in fields:
+                self._check_shape(group, field, length, facts, index)
+            steps += length
+        if steps != manifest.steps:
+            fail(f"the manifest has {manifest.steps:,} steps, the file {steps:,}")
+        return f"{manifest.episodes:,} episodes of {len(fields)} fields, {steps:,} steps" + (", links into the base" if linked else "")
+
+    def _check_link(self, group: h5py.Group, member: str, index: int) -> None:
+        base = self._manifest.base
+        assert base is not None
+        if member not in group and member == "infos":
+            return
+        link = group.get(member, getlink=True)
+        wanted = dataset_path(base.id, self._root) / "data" / MAIN_FILE
+        if not isinstance(link, h5py.ExternalLink) or link.path != f"/episode_{index}/{member}":
+            self._fail("base", f"{member} is no link to episode {index} of '{base.id}'", index)
+        target = self._path.parent / link.filename
+        if not (target.exists() and target.samefile(wanted)):
+            self._fail("base", f"{member} links to {link.filename!r:.99}, which is not '{base.id}'", index)
+
+    def _check_shape(self, group: h5py.Group, field: str, length: int, facts: Domain, index: int) -> None:
+        dataset = open_field(group, field)
+        rows = length + 1 if has_reset_row(field) else length
+        dtype, shape = row_kinds(facts).get(field, (dataset.dtype, dataset.shape[1:]))
+        if dataset.dtype != np.dtype(dtype) or dataset.shape != (rows, *shape):
+            self._fail("file", f"{field} is {dataset.dtype} {dataset.shape}, not {np.dtype(dtype)} {(rows, *shape)}", index)
+
+    # ------------------------------------------------------------------------------------------------------------------------- arrays
+
+    def _check_arrays(self, file: h5py.File, advance: Advance) -> list[Check]:
+        """One pass over all arrays: numbers, bounds, ends, hashes."""
+        manifest, hasher, numbers = self._manifest, FieldHasher(), 0
+        for index in range(manifest.episodes):
+            group = file[f"episode_{index}"]
+            for field in manifest.fields:
+                array = read_field(group, field)
+                hasher.update(field, array)
+                numbers += array.size
+                if array.dtype.kind == "f":
+                    self._check_each(np.isfinite(array), "numbers", f"a number of {field} is not finite", index)
+                if field == "actions":
+                    self._check_each(np.abs(array) <= 1.0, "actions", "an action is out of [-1, 1]", index)
+                if field in {"terminations", "truncations"}:
+                    expected = np.zeros(len(array), np.uint8)
+                    expected[-1] = field == "truncations"
+                    what = f"{field} are not False" + (" but at the last step" if field == "truncations" else "")
+                    self._check_each(array.view(np.uint8) == expected, "ends", what, index)
+            advance(1)
+        found = hasher.digests()
+        self._changed = [field for field, digest in found.items() if digest != manifest.fields[field]]
+        return [
+            Check("numbers", f"{numbers:,}, all finite"),
+            Check("actions", f"{manifest.steps:,}, all within [-1, 1]"),
+            Check("ends", f"{manifest.episodes:,} truncations, each at the last step, no termination"),
+            Check("fingerprint", f"{manifest.fingerprint[:16]}… from {len(found)} fields"),
+        ]
+
+    def _check_each(self, good: Array, check: str, what: str, index: int) -> None:
+        rows = good.reshape(len(good), -1).all(axis=1)
+        if not rows.all():
+            self._fail(check, what, index, int(np.flatnonzero(~rows)[0]))
+
+    def _check_seeds(self, file: h5py.File) -> str:
+        for index in range(self._manifest.episodes):
+            found, expected = int(file[f"episode_{index}"].attrs["seed"]), episode_seed(self._manifest.seed, "environment", index)
+            if found != expected:
+                self._fail("seeds", f"the stored seed is {found}, but seed {self._manifest.seed} of the manifest gives {expected}", index)
+        return f"{self._manifest.episodes:,}, each that of seed {self._manifest.seed} for its episode"
+
+    # ------------------------------------------------------------------------------------------------------------------------ rewards
+
+    def _check_rewards(self, file: h5py.File) -> str:
+        manifest = self._manifest
+        expected, how = self._recompute()
+        tolerance = 0.0 if manifest.task is None or self._same_arithmetic(manifest) else _REWARD_ROUNDING
+        if expected is not None:
+            with bars([(f"{self._id}: rewards", manifest.episodes)], "episodes") as (advance,):
+                for index in range(manifest.episodes):
+                    self._check_reward_rows(file[f"episode_{index}"], expected, tolerance, index)
+                    advance(1)
+        for index in range(manifest.episodes):
+            group = file[f"episode_{index}"]
+            for name, value in episode_attributes(index, None, read_field(group, "rewards")).items():
+                found = float(group.attrs[name])
+                if not math.isclose(found, value, rel_tol=1e-9, abs_tol=1e-9):
+                    self._fail("rewards", f"the attribute {name} is {found:g}, but by the rewards {value:g}", index)
+        if tolerance and expected is not None:
+            how += f" within {tolerance:g} (made with other versions or on another processor)"
+        return f"{manifest.steps:,}, {how}"
+
+    def _recompute(self) -> tuple[Callable[[h5py.Group], Array] | None, str]:
+        """How an episode's rewards (T,) are computed, if they can be, and a word about it."""
+        manifest = self._manifest
+        if manifest.task is None:
+            return lambda group: np.zeros(int(group.attrs["total_steps"]), np.float32), "all 0: it belongs to no task"
+        if manifest.base is None:
+            return None, "as they were imported; not computed again"
+        if manifest.reward is not None:
+            # Whoever made the dataset chose the name; reading a dataset must not run code.
+            return None, f"by the function {manifest.reward.reference}, which is not run here"
+        if "infos/physics" not in manifest.fields:
+            self._fail("rewards", f"it has rewards of {manifest.task} but no physics states to compute them from")
+        facts = check_domain(manifest.domain)
+        relabeler, column = plugins.load("relabelers", facts.relabeler)(facts), facts.tasks.index(manifest.task)
+
+        def rewards(group: h5py.Group) -> Array:
+            computed = relabeler.rewards(read_field(group, "infos/physics")[1:], read_field(group, "actions"))
+            return np.asarray(computed[:, column], np.float32)
+
+        return rewards, f"equal to {manifest.task} computed from the states"
+
+    def _check_reward_rows(self, group: h5py.Group, expected: Callable[[h5py.Group], Array], tolerance: float, index: int) -> None:
+        there, computed = read_field(group, "rewards"), expected(group)
+        wrong = np.flatnonzero(~(np.abs(there.astype(np.float64) - computed) <= tolerance))
+        if len(wrong):
+            step = int(wrong[0])
+            what = f"the reward is {there[step]:.9g}, but the state that action {step} leads to has {computed[step]:.9g}"
+            if self._manifest.task is None:
+                what = f"the reward is {there[step]:.9g}, but a dataset without a task has 0"
+            self._fail("rewards", what, index, step, _RESTORE if self._manifest.task is None else "relabel its base again with --overwrite")
+
+    def _same_arithmetic(self, made: Manifest) -> bool:
+        """Whether versions and processor are those which a dataset was made with, so that every bit should be the same."""
+        here = versions()
+        same = all(made.versions.get(name) == here[name] for name in ("mujoco", "dm-control", "numpy"))
+        return same and made.machine.get("processor") == processor()
+
+    # --------------------------------------------------------------------------------------------------------------------- simulation
+
+    def _check_simulation(self, file: h5py.File) -> str:
+        manifest = self._manifest
+        if "infos/physics" not in manifest.fields:
+            return "none: it holds no physics states"
+        facts = check_domain(manifest.domain)
+        playback, chosen = Playback(facts), self._chosen(facts)
+        exact, steps, slips = 0, 0, list[tuple[int, Fault]]()
+        with bars([(f"{self._id}: simulating", len(chosen))], "episodes") as (advance,):
+            for index in chosen:
+                group = file[f"episode_{index}"]
+                seed = int(group.attrs["seed"]) if manifest.has_episode_seeds else None
+                actions = read_field(group, "actions")
+                verdict = playback.test(seed, read_field(group, "infos/physics"), actions, read_field(group, "observations"))
+                if verdict.fault is not None:
+                    self._fail("simulation", verdict.fault.what, index, verdict.fault.row)
+                exact, steps = exact + (verdict.inexact is None), steps + len(actions)
+                if verdict.inexact is not None:
+                    slips.append((index, verdict.inexact))
+                advance(1)
+        if self._changed and exact and slips:
+            # This machine repeats other episodes to the last bit: the first that it does not is where the change is.
+            index, slip = slips[0]
+            self._fail("simulation", slip.what, index, slip.row)
+        share = "all" if len(chosen) == manifest.episodes else f"of {manifest.steps:,}"
+        parts = [f"{exact:,} episodes repeated from their seeds bit for bit"] if exact else []
+        if slips:
+            why = "rounding differs here" if manifest.has_episode_seeds else "their seeds are not known"
+            parts.append(f"{len(slips):,} episodes step by step within {facts.step_tolerance:g} ({why})")
+        return f"{steps:,} transitions ({share}): {', '.join(parts)}"
+
+    def _chosen(self, facts: Domain) -> list[int]:
+        """The episodes to simulate, in order: always the same ones of a dataset."""
+        episodes = self._manifest.episodes
+        if self._sample is None or self._changed:
+            return list(range(episodes))
+        count = min(episodes, -(-self._sample // facts.episode_length))
+        generator = np.random.default_rng(int(self._manifest.fingerprint[:16], 16))
+        return sorted(int(index) for index in generator.choice(episodes, count, replace=False))

@@ -1,0 +1,150 @@
+"""The same update again and again: on CUDA captured once as a graph and then replayed, without Python in between.
+
+An update is some hundred operations on small matrices. Issued one by one they keep the host busy for longer than the GPU; as a graph they
+are one call. The price is that Python is not there any more: an update may depend on nothing but tensors that stay where they are, and on
+the *plan* that the host makes before it (``prepare``). Each plan has a graph of its own.
+
+What measures itself runs step by step even then: it is one update in a thousand, and may wait for the device.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any, ClassVar, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch
+
+WARM_UP = 3  # updates before a capture: optimisers make their state in the first, libraries choose their kernels
+T = TypeVar("T")
+
+
+class Graph(ABC):
+    """Operations that were recorded once and can be repeated on the same tensors."""
+
+    @abstractmethod
+    def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
+        """Record what ``function`` does; its tensors hold results once :meth:`replay` ran. Streams go on as if it were called each time."""
+
+    @abstractmethod
+    def replay(self) -> None:
+        """Do it."""
+
+    def warm(self, function: Callable[[], T]) -> T:
+        """Call ``function`` as it should be called before a capture."""
+        return function()
+
+
+class CudaGraph(Graph):
+    """A CUDA graph; warm-up runs on another stream than the default one, as capturing does."""
+
+    _side: ClassVar[torch.cuda.Stream | None] = None
+
+    def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
+        self._graph = torch.cuda.CUDAGraph()
+        for stream in random:
+            for generator in stream.generators:
+                self._graph.register_generator_state(generator)
+        with torch.cuda.graph(self._graph):
+            return function()
+
+    def replay(self) -> None:
+        self._graph.replay()
+
+    def warm(self, function: Callable[[], T]) -> T:
+        if CudaGraph._side is None:
+            CudaGraph._side = torch.cuda.Stream()
+        side = CudaGraph._side
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            result = function()
+        torch.cuda.current_stream().wait_stream(side)
+        return result
+
+
+def graphs_for(learner: object, device: torch.device) -> Callable[[], Graph] | None:
+    """What makes graphs for a learner; None where its updates are to run step by step: on a CPU, and for those that do not offer more."""
+    return CudaGraph if device.type == "cuda" and getattr(learner, "replayable", False) else None
+
+
+class _Captured(Generic[T]):
+    """One function, called, then captured, then replayed."""
+
+    def __init__(self, make: Callable[[], Graph], random: Iterable[MemberRandom]) -> None:
+        self._graph, self._random = make(), list(random)
+        self._calls = 0
+        self._result: T
+
+    def __call__(self, function: Callable[[], T]) -> T:
+        self._calls += 1
+        if self._calls <= WARM_UP:
+            return self._graph.warm(function)
+        if self._calls == WARM_UP + 1:
+            self._result = self._graph.capture(function, self._random)
+        self._graph.replay()
+        return self._result
+
+
+class Updates:
+    """Draws minibatches and has a learner learn from them.
+
+    Args:
+        learner: whose ``update`` is called, or with graphs the halves of it that ``Learner`` has; its state is the same however that is
+            done, up to the rounding of other kernels.
+        draw: a minibatch on the learner's device; told whether it is to be measured. It must keep to what ``learn`` keeps to.
+        random: the stream that ``draw`` draws from.
+        make: makes graphs, see :func:`graphs_for`.
+    """
+
+    def __init__(self, learner: Any, draw: Callable[[bool], Batch], random: MemberRandom, make: Callable[[], Graph] | None) -> None:
+        self._learner, self._draw, self._random, self._make = learner, draw, random, make
+        self._captured: dict[Hashable, _Captured[Batch]] = {}
+
+    def __call__(self, measure: bool) -> tuple[dict[str, Tensor], Batch]:
+        """One update; its metrics, which are none without ``measure``, and its minibatch, which the next one may write over."""
+        if self._make is None or measure:
+            batch = self._draw(measure)
+            return self._learner.update(batch), batch
+        plan = self._learner.prepare()
+        if plan not in self._captured:
+            self._captured[plan] = _Captured(self._make, [*self._learner.random.values(), self._random])
+
+        def update() -> Batch:
+            batch = self._draw(False)
+            with self._learner.products():
+                self._learner.learn(batch, plan)
+            return batch
+
+        return {}, self._captured[plan](update)
+
+
+class Acts:
+    """Asks a learner for actions, one observation of each member at a time.
+
+    Args:
+        act: (E, S) -> (E, A) on the device.
+        random: the streams that it draws from.
+        device: where.
+        make: makes graphs, see :func:`graphs_for`.
+    """
+
+    def __init__(
+        self, act: Callable[[Tensor], Tensor], random: Iterable[MemberRandom], device: torch.device, make: Callable[[], Graph] | None
+    ) -> None:
+        self._act, self._device = act, device
+        self._captured: _Captured[Tensor] | None = None if make is None else _Captured(make, random)
+        self._seen: Tensor | None = None
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Actions on the CPU for observations that are there."""
+        if self._captured is None:
+            return self._act(observation.to(self._device)).cpu()
+        if self._seen is None:
+            self._seen = torch.empty_like(observation, device=self._device)
+        seen = self._seen
+        seen.copy_(observation)
+        return self._captured(lambda: self._act(seen)).cpu()

@@ -1,0 +1,112 @@
+"""What learns: the networks, optimisers and random streams of a stack of members, saved and restored as one."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from cudc_bench.errors import UsageError
+from cudc_bench.learning.networks import MemberRandom, Trained, adam, bf16_products, minimise
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Precision
+
+
+class Learner(nn.Module):
+    """Networks as modules, and beside them optimisers and streams by name.
+
+    An update has two halves, so that a GPU can repeat the second without Python (see :mod:`cudc_bench.learning.cuda_graphs`).
+
+    Attributes:
+        random: streams that the state holds.
+        optimisers: one for each loss.
+        precision: of wide products in updates; what acts is always float32.
+        replayable: whether ``learn`` keeps to what a graph asks of it. A subclass that cannot sets it to False; one with an ``update`` of
+            its own never does.
+    """
+
+    replayable: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "update" in vars(cls):
+            cls.replayable = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.random: dict[str, MemberRandom] = {}
+        self.optimisers: dict[str, torch.optim.Optimizer] = {}
+        self.precision: Precision = "float32"
+
+    def add_optimiser(self, name: str, trained: Sequence[Trained], learning_rate: float) -> None:
+        """One Adam over some modules, under a name."""
+        self.optimisers[name] = adam(trained, learning_rate)
+
+    def minimise(self, name: str, loss: Tensor) -> None:
+        """One step of the optimiser of that name on the sum of the members' losses (E,)."""
+        minimise(loss, self.optimisers[name])
+
+    def set_learning_rate(self, name: str, value: float) -> None:
+        """Change the learning rate of an optimiser, in ``prepare``."""
+        for group in self.optimisers[name].param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(value)
+            else:
+                group["lr"] = value
+
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        """Learn from one minibatch; metrics are (E,) tensors, complete when ``batch.measure`` is set."""
+        plan = self.prepare()
+        with self.products():
+            return self.learn(batch, plan)
+
+    def products(self) -> AbstractContextManager[None]:
+        """The context in which ``learn`` is called."""
+        return bf16_products() if self.precision == "bf16" else nullcontext()
+
+    def prepare(self) -> Hashable:
+        """The host's half of an update: counts, learning rates, and the plan of what ``learn`` will do."""
+        return None
+
+    def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
+        """The device's half: it changes tensors in place, and depends on nothing but tensors, the configuration and the plan."""
+        raise NotImplementedError(f"{type(self).__name__} does not say how it learns")
+
+    def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
+        """Parameters, buffers, optimisers and streams."""
+        return {
+            "networks": nn.Module.state_dict(self),
+            "optimisers": {name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
+            "random": {name: random.state_dict() for name, random in self.random.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
+        """Continue exactly where ``state_dict`` was taken."""
+        nn.Module.load_state_dict(self, state["networks"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+        for name, random in self.random.items():
+            random.load_state_dict(state["random"][name])
+
+
+def check_precision(kind: type, name: str, precision: Precision, device: str) -> None:
+    """Refuse a precision that a kind of learner, or a device, does not have.
+
+    Raises:
+        UsageError: the message says which there are.
+    """
+    if precision == "tf32" and device == "cpu":
+        raise UsageError("precision=tf32 is for CUDA; on a CPU choose float32 or bf16.")
+    if precision != "float32" and getattr(kind, "learns", True) and not issubclass(kind, Learner):
+        raise UsageError(f"{name} knows no precision=bf16 and no tf32; leave it at float32.")
+
+
+def set_precision(learner: object, precision: Precision) -> None:
+    """Say how exactly a learner multiplies, before its first update. TF32 is a mode of the whole process."""
+    if isinstance(learner, Learner):
+        learner.precision = precision
+    if torch.cuda.is_available():
+        torch.backends.cuda.matmul.allow_tf32 = precision == "tf32"

@@ -1,0 +1,1 @@
+"""Runs that act in simulators and learn on the way."""

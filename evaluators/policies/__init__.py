@@ -1,0 +1,1 @@
+"""Trained policies after their training: kept, played, rendered and exported."""

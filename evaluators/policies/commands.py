@@ -1,0 +1,55 @@
+"""``cudc-bench export`` and ``cudc-bench render``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+RecordArgument = Annotated[str, typer.Argument(metavar="RECORD", help="Run record, as evaluate named it; its policy lies beside it.")]
+
+
+def export(
+    record: RecordArgument,
+    output: Annotated[str | None, typer.Option("--output", help="File to write, *.pt2; beside the record by default.")] = None,
+) -> None:
+    """Write a trained policy as one file that needs PyTorch alone."""
+    import shlex
+
+    from cudc_bench.execution.progress import say
+
+    from .exporting import SPEC, export_policy
+
+    path = export_policy(record, output)
+    print(path)
+    say(f"load it with: torch.export.load({str(path)!r}).module()")
+    say(f"what it takes and where it comes from: unzip -p {shlex.quote(str(path))} '*/{SPEC}'")
+
+
+def render(
+    record: RecordArgument,
+    episodes: Annotated[int, typer.Option("--episodes", help="Episodes, one after the other.")] = 1,
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Of the first episode; those of the record's final evaluation by default.")
+    ] = None,
+    output: Annotated[str | None, typer.Option("--output", help="File to write, *.mp4 or *.gif; beside the record by default.")] = None,
+    width: Annotated[int | None, typer.Option("--width", help="Pixels; 640 in an MP4, 320 in a GIF.")] = None,
+    height: Annotated[int | None, typer.Option("--height", help="Pixels; 480 in an MP4, 240 in a GIF.")] = None,
+    fps: Annotated[float, typer.Option("--fps", help="Frames a second.")] = 25.0,
+    camera: Annotated[str | None, typer.Option("--camera", help="Name or number of one of the model's cameras.")] = None,
+    reward: Annotated[
+        str | None, typer.Option("--reward", help="Own reward function that the policy was trained on, to measure its return.")
+    ] = None,
+) -> None:
+    """Play a trained policy and write a video of it; the return is the recorded one."""
+    import os
+
+    # The process that draws gets the user's choice. This one draws nothing, and need not fail where the choice does not work.
+    gl, os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL"), "disabled"
+
+    from .rendering import render_policy
+
+    done = render_policy(
+        record, output, episodes=episodes, seed=seed, width=width, height=height, fps=fps, camera=camera, reward=reward, gl=gl or ""
+    )
+    print(done.path)

@@ -1,0 +1,195 @@
+"""Trained policies in files beside their records: weights alone, which the record says how to use."""
+
+from __future__ import annotations
+
+import copy
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.provenance import is_own_command, versions
+from cudc_bench.artefacts.records import Record, read_record
+from cudc_bench.envs import check_domain
+from cudc_bench.errors import CudcBenchError, RunError, UsageError
+from cudc_bench.files import check_path, check_regular, unwritable, write_atomically
+from cudc_bench.settings.config import field_names
+from cudc_bench.settings.evaluate_config import EvaluateConfig
+
+from ..base import Evaluator
+
+SUFFIX = ".policy.pt"
+
+
+class Policy(nn.Module):
+    """One member's deterministic policy, without the member axis.
+
+    Attributes:
+        record: of the run that trained it.
+        observation_size, action_size: S and A.
+    """
+
+    def __init__(self, module: nn.Module, record: Record, observation_size: int, action_size: int) -> None:
+        super().__init__()
+        self.module = module
+        self.record = record
+        self.observation_size, self.action_size = observation_size, action_size
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(n, S) -> (n, A) in [-1, 1], float32."""
+        action: Tensor = self.module(observation[None])[0]
+        return action
+
+    @torch.no_grad()
+    def act(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Actions (A,) or (n, A) in [-1, 1] for an observation (S,) or several (n, S), as Gymnasium's environments take and give them.
+
+        Raises:
+            UsageError: the observation has another shape.
+        """
+        array = np.array(observation, np.float32)
+        if array.ndim not in {1, 2} or array.shape[-1] != self.observation_size:
+            raise UsageError(
+                f"the policy takes observations ({self.observation_size},) or (n, {self.observation_size}), not {array.shape}."
+            )
+        actions = self(torch.from_numpy(array.reshape(-1, self.observation_size))).numpy()
+        return actions if array.ndim == 2 else actions[0]
+
+
+def policy_path(record: Path) -> Path:
+    """Where a record's policy is kept."""
+    return record.with_name(record.name.removesuffix(".json") + SUFFIX)
+
+
+def check_record(record: str | Path) -> Path:
+    """The path of a record that a user named.
+
+    Raises:
+        UsageError: there is no such file.
+    """
+    path = check_path(record, "the record")
+    if not path.is_file():
+        raise UsageError(f"there is no record at '{path}'; cudc-bench evaluate prints the paths of those that it writes.")
+    return path
+
+
+def save_policy(agent: Evaluator, member: int, record: Path) -> None:
+    """Write one member's policy beside its record.
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    weights = {name: value[member : member + 1].detach().cpu().clone() for name, value in agent.policy.state_dict().items()}
+    content = io.BytesIO()
+    torch.save(weights, content)
+    path = policy_path(record)
+    try:
+        write_atomically(path, content.getvalue())
+    except OSError as error:
+        raise unwritable(f"the policy {path}", error) from None
+
+
+def load_policy(record: str | Path) -> Policy:
+    """The trained policy of a record, on the CPU.
+
+    Args:
+        record: path of the record, as ``evaluate`` returned it; the policy's weights lie beside it.
+
+    Raises:
+        RunError: the record or the policy is missing or damaged, or this version cannot make the policy's network from the record.
+        UsageError: the record's algorithm or domain is not installed here.
+    """
+    place = check_path(record, "the record")
+    found = read_record(place)
+    path = policy_path(place)
+    kind = plugins.load("evaluators", found.algorithm)
+    facts = check_domain(found.dataset.domain)
+    if not path.exists():
+        raise RunError(f"{place} has no policy beside it ({path.name}); {_again(found)}")
+    weights = _read_weights(path)
+    largest = max((size for value in weights.values() for size in value.shape), default=1)
+    module = _network(kind, found, facts.observation_size, facts.action_size, place, largest)
+    wanted, there = _shapes(module.state_dict()), _shapes(weights)
+    if wanted != there:
+        name = min(name for name in wanted.keys() | there.keys() if wanted.get(name) != there.get(name))
+        raise RunError(
+            f"the policy {path} does not fit its record: '{name}' is {there.get(name, 'missing')} and should be"
+            f" {wanted.get(name, 'missing')}{_other_version(found)}; {_again(found)}"
+        )
+    module.load_state_dict(weights)
+    policy = Policy(module, found, facts.observation_size, facts.action_size)
+    return policy.eval().requires_grad_(False)
+
+
+def _network(kind: Any, record: Record, observation: int, action: int, place: Path, largest: int) -> nn.Module:
+    """The policy's network with one member, whose weights do not matter yet; ``largest`` is the largest size of its weights."""
+    known = set(field_names(kind.config_class))
+    # A hyperparameter that came later has a default that does what was done before. One that has gone may have meant anything.
+    gone = sorted(set(record.hyperparameters) - known - set(field_names(EvaluateConfig)))
+    if gone:
+        raise RunError(
+            f"{place} was made by another version of {record.algorithm}: this one has no hyperparameter '{gone[0]}'"
+            f"{_other_version(record)}; {_again(record)}"
+        )
+    try:
+        config = kind.configure(settings={name: value for name, value in record.hyperparameters.items() if name in known})
+        # A record asks for no more memory than its policy justifies.
+        if (width := getattr(config, "width", 0)) > max(16 * largest, 4096):
+            raise RunError(f"its width of {width:,} is not that of its policy")
+        agent: Evaluator = kind(observation, action, config, [record.seed])
+    except (CudcBenchError, ValueError, TypeError) as error:
+        # Also what an algorithm itself refuses when it is built.
+        raise RunError(f"{place} cannot be used with this version of {record.algorithm}: {str(error).rstrip('.')}.") from None
+    return copy.deepcopy(agent.policy)
+
+
+def _read_weights(path: Path) -> Mapping[str, Tensor]:
+    """Tensors by name. Nothing in the file is ever run."""
+    try:
+        check_regular(path)
+        content = path.read_bytes()
+    except OSError as error:
+        raise RunError(f"cannot read the policy {path}: {error.strerror}.") from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            # PyTorch compresses nothing; what is compressed may be of any size.
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+                raise ValueError("compressed")
+            broken = archive.testzip()  # PyTorch itself does not look at the checksums
+        weights = None if broken else torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception:  # damage can break the reader anywhere in it, and its messages advise to trust the file
+        raise RunError(f"the policy {path} is damaged, or is not a file of weights alone.") from None
+    if weights is None:
+        raise RunError(f"the policy {path} is damaged: its checksums are not those of its content.")
+    if not isinstance(weights, Mapping) or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in weights.items()):
+        raise RunError(f"the policy {path} is damaged: it does not hold weights by name.")
+    if sum(value.numel() for value in weights.values()) > len(content):
+        # Strides of 0 make a tensor of any size from one number.
+        raise RunError(f"the policy {path} is damaged: it claims more weights than it has.")
+    for name, value in weights.items():
+        if value.layout is not torch.strided or not torch.isfinite(value).all():
+            raise RunError(f"the policy {path} is damaged: '{name}' has weights that are not finite numbers.")
+    return weights
+
+
+def _shapes(weights: Mapping[str, Tensor]) -> dict[str, str]:
+    """Of each tensor its shape and type, such as ``"1x24x16 float32"``."""
+    return {name: f"{'x'.join(map(str, value.shape))} {str(value.dtype).removeprefix('torch.')}" for name, value in weights.items()}
+
+
+def _other_version(record: Record) -> str:
+    """The version that made a record, if it is another."""
+    made, here = record.versions.get("cudc-bench", "unknown"), versions()["cudc-bench"]
+    return "" if made == here else f" (made with cudc-bench {made}, this is {here})"
+
+
+def _again(record: Record) -> str:
+    # The record may be anybody's, and people copy what follows.
+    return f"train it again with: {record.again}" if is_own_command(record.command) else "train it again"

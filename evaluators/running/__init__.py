@@ -1,0 +1,1 @@
+"""What carries a learner through its run: commands, loops, arena, references."""
