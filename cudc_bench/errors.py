@@ -1,13 +1,17 @@
 """The two ways in which a command ends badly, each one line long.
 
 ``UsageError`` is the user's mistake, refused before any work starts (exit code 2); ``RunError`` is a failure during the work
-(exit code 1). The command line prints their text and nothing else; from Python they are ordinary exceptions.
+(exit code 1). The command line prints their text and nothing else, unless it was asked for more; from Python they are ordinary exceptions.
 """
 
 from __future__ import annotations
 
 import difflib
+import os
+import traceback
 from collections.abc import Iterable
+
+DEBUG = "CUDC_BENCH_DEBUG"  # the environment variable that asks for more than a line; processes that are started here hear of it, too
 
 
 class CudcBenchError(Exception):
@@ -36,6 +40,21 @@ class BrokenDownError(RunError):
 
 class UnusableError(Exception):
     """A checkpoint is whole, but what it refers to is not; the one before it may do."""
+
+
+def wants_traceback() -> bool:
+    """Whether an error should show where it came from: ``CUDC_BENCH_DEBUG`` is neither empty nor 0."""
+    return os.environ.get(DEBUG, "") not in {"", "0"}
+
+
+def traceback_of(error: BaseException) -> str:
+    """An error's traceback with all that led to it, that of an error included which the message for people hides (``from None``)."""
+    seen, one = set[int](), error
+    while one is not None and id(one) not in seen:
+        seen.add(id(one))
+        one.__suppress_context__ = one.__cause__ is not None
+        one = one.__cause__ or one.__context__  # type: ignore[assignment]
+    return "".join(traceback.format_exception(error))
 
 
 def nearest(value: str, allowed: Iterable[str]) -> str:

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from cudc_bench import plugins
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.envs import DOMAINS
 from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.suites.definition import suite_names

@@ -17,7 +17,8 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
+from cudc_bench.errors import DEBUG
 
 from .conftest import Finished
 from .waiting import PATIENCE, wait_for
@@ -285,6 +286,21 @@ def test_a_failure_in_a_run_is_one_line_with_exit_code_1(here: Callable, smoke: 
     assert done.code == 1
     assert done.err.splitlines()[-1].startswith("cudc-bench: error: 'walker/walk/cudc-v0' links to 'walker/cudc-v0', which is missing;")
     assert "Traceback" not in done.err
+
+
+def test_who_asks_sees_where_an_error_came_from(here: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (smoke / "walker" / "cudc-v0" / "data" / "main_data.hdf5").write_bytes(b"nothing")
+    command = ["evaluate", "--dataset-id", "walker/walk/cudc-v0"]
+    monkeypatch.setenv(DEBUG, "0")
+    plain = here(command)
+    assert plain.code == 1
+    assert "Traceback" not in plain.err
+    told = here(["--debug", *command])
+    assert told.code == 1
+    assert told.err.splitlines()[-1] == plain.err.splitlines()[-1]
+    assert told.err.count("Traceback (most recent call last)") == 2  # the error for people, and the library's that it hides
+    assert "\nOSError: " in told.err
+    assert here(command).err == told.err  # from the environment, where the option has put it for other processes
 
 
 def test_sizes_beyond_the_memory_end_in_one_line(here: Callable, datasets: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import cudc_bench
 from cudc_bench.artefacts.manifest import KEY, FieldHasher, fingerprint, read_manifest
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
 

@@ -5,6 +5,7 @@ Nothing heavy is imported before a command runs, so that ``--help`` answers at o
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from cudc_bench import plugins
-from cudc_bench.errors import CudcBenchError
+from cudc_bench.errors import DEBUG, CudcBenchError, traceback_of, wants_traceback
 from cudc_bench.execution.interrupts import Interrupted
 from cudc_bench.text import shortened, visible
 
@@ -53,8 +54,16 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _show_tracebacks(wanted: bool) -> None:
+    if wanted:
+        os.environ[DEBUG] = "1"
+
+
 def _root(
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help=f"Show where an error came from, as {DEBUG}=1 does.")
+    ] = False,
 ) -> None:
     """Collect data without rewards, relabel it, train offline on it, and compare."""
 
@@ -76,7 +85,7 @@ def main(arguments: list[str] | None = None) -> None:
         if code == 130:  # typer takes Ctrl-C for itself, and says nothing
             _complain("interrupted.")
     except CudcBenchError as error:
-        _complain(str(error))
+        _complain(str(error), error)
         code = error.exit_code
     except _CommandLineError as error:
         # Without any argument the help has been shown, and there is nothing to say.
@@ -90,12 +99,12 @@ def main(arguments: list[str] | None = None) -> None:
         code = 1
     except OSError as error:  # of a library that writes by itself
         where = f" ({error.filename})" if error.filename else ""
-        _complain(f"the system refused to go on: {error.strerror or error}{where}.")
+        _complain(f"the system refused to go on: {error.strerror or error}{where}.", error)
         code = 1
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise
-        _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.")
+        _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.", error)
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
 
@@ -105,8 +114,10 @@ def _is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
 
 
-def _complain(message: str) -> None:
+def _complain(message: str, error: BaseException | None = None) -> None:
     with suppress(OSError):  # nobody may be there any more to read it
+        if error is not None and wants_traceback():
+            print(traceback_of(error), end="", file=sys.stderr)
         print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
 
 

@@ -12,7 +12,6 @@ import pickle
 import signal
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
-from cudc_bench.errors import CudcBenchError, RunError
+from cudc_bench.errors import CudcBenchError, RunError, traceback_of, wants_traceback
 from cudc_bench.execution import interrupts
 
 T = TypeVar("T")
@@ -222,8 +221,10 @@ def _serve(pipe: Connection, do: Callable[[T, Tell], Any], begin: Callable[[], A
 
 
 def _travelling(error: BaseException) -> BaseException:
-    """An error as it can be sent: as another where it cannot be made again over there, and with its traceback in words if it is a bug."""
-    told = None if isinstance(error, CudcBenchError | interrupts.Interrupted) else "".join(traceback.format_exception(error))
+    """An error as it can be sent: as another where it cannot be made again over there, and with its traceback in words if it is a bug or
+    somebody asked for it."""
+    expected = isinstance(error, CudcBenchError | interrupts.Interrupted)
+    told = None if expected and not wants_traceback() else traceback_of(error)
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -28,7 +28,7 @@ from numpy.lib import format as npy
 import cudc_bench
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.collectors.importing.exorl import LARGEST, EpisodeFile, FileFault, RawEpisode, list_files, read_episode
 from cudc_bench.data.reader import load_episodes, verify_fingerprint
 from cudc_bench.data.writer import Episode, EpisodeShards

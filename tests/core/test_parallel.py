@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cudc_bench.errors import RunError
+from cudc_bench.errors import DEBUG, RunError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.parallel import Job, run_jobs
 
@@ -127,6 +127,14 @@ def test_a_bug_in_a_worker_comes_home_with_its_traceback() -> None:
         run_jobs(ends_so, jobs({"how": "bug"}, {"how": "short"}), unit="steps", workers=2, threads=1)
     assert str(caught.value) == "Unpicklable: not so"
     assert 'raise Unpicklable("not ", "so")' in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize(("asked", "told"), [("", False), ("0", False), ("1", True)])
+def test_a_failure_comes_home_with_its_traceback_if_somebody_asks_for_it(asked: str, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(DEBUG, asked)
+    with pytest.raises(RunError, match="three is too many") as caught:
+        run_jobs(counting, jobs({"upto": 9, "fail": True}, {"upto": 5}), unit="steps", workers=2, threads=1)
+    assert ('raise RunError("three is too many")' in "".join(getattr(caught.value, "__notes__", []))) == told
 
 
 def test_what_cannot_be_sent_comes_home_in_words() -> None:

@@ -7,8 +7,8 @@ from cudc_bench.artefacts.manifest import RewardFunction
 from cudc_bench.artefacts.provenance import versions
 from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, write_record
 from cudc_bench.envs import DOMAINS
-from cudc_bench.evaluators.policies.stored.rollout import recorded_seeds
-from cudc_bench.evaluators.policies.stored.stored import save_policy
+from cudc_bench.evaluators.policies.rollout import recorded_seeds
+from cudc_bench.evaluators.policies.stored import save_policy
 from cudc_bench.evaluators.running.loop import Arena
 from cudc_bench.settings.config import as_dict, config_hash
 from cudc_bench.settings.evaluate_config import EvaluateConfig

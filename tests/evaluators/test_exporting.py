@@ -13,8 +13,8 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.envs.layouts import observation_layout
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.policies.stored.exporting import to_bytes
-from cudc_bench.evaluators.policies.stored.stored import load_policy, policy_path
+from cudc_bench.evaluators.policies.exporting import to_bytes
+from cudc_bench.evaluators.policies.stored import load_policy, policy_path
 
 from .runs import write_run
 

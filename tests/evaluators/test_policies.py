@@ -17,7 +17,7 @@ import cudc_bench
 import cudc_bench.envs
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
-from cudc_bench.evaluators.policies.stored.stored import load_policy, policy_path
+from cudc_bench.evaluators.policies.stored import load_policy, policy_path
 
 from .runs import change, write_run
 

@@ -15,8 +15,8 @@ from cudc_bench.artefacts.records import Record, read_record
 from cudc_bench.cli.options import parse_sizes
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.policies.stored.rollout import play, recorded_seeds
-from cudc_bench.evaluators.policies.stored.stored import load_policy, policy_path
+from cudc_bench.evaluators.policies.rollout import play, recorded_seeds
+from cudc_bench.evaluators.policies.stored import load_policy, policy_path
 from cudc_bench.evaluators.running import evaluate as api
 from cudc_bench.evaluators.running.evaluate import load_members
 from cudc_bench.evaluators.running.loop import Arena, run_evaluation
@@ -351,7 +351,7 @@ def test_a_saved_policy_gives_the_recorded_returns(smoke, tmp_path, algo):
 
 
 def test_policies_are_for_the_member_that_they_belong_to(smoke, tmp_path):
-    from cudc_bench.evaluators.policies.stored.stored import save_policy
+    from cudc_bench.evaluators.policies.stored import save_policy
 
     ((path, _),) = evaluated(tmp_path, algo="td3")
     agent = make("td3", (5, 1))

@@ -14,7 +14,7 @@ import pytest
 import cudc_bench
 from cudc_bench.artefacts.records import Evaluation
 from cudc_bench.artefacts.references import Reference, read_reference, read_references, write_reference
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.evaluators.running import online, reference

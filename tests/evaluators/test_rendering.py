@@ -10,9 +10,9 @@ from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.drawing import probe
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.policies.stored import rendering
-from cudc_bench.evaluators.policies.stored.rollout import recorded_seeds
-from cudc_bench.evaluators.policies.stored.stored import policy_path
+from cudc_bench.evaluators.policies import rendering
+from cudc_bench.evaluators.policies.rollout import recorded_seeds
+from cudc_bench.evaluators.policies.stored import policy_path
 
 from .runs import change, write_run
 

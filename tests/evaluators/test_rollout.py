@@ -8,9 +8,9 @@ import cudc_bench
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import UsageError
-from cudc_bench.evaluators.policies.stored.rendering import frame_times
-from cudc_bench.evaluators.policies.stored.rollout import play, recorded_seeds
-from cudc_bench.evaluators.policies.stored.stored import load_policy
+from cudc_bench.evaluators.policies.rendering import frame_times
+from cudc_bench.evaluators.policies.rollout import play, recorded_seeds
+from cudc_bench.evaluators.policies.stored import load_policy
 
 from .runs import change, write_run
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.policies.stored import video
-from cudc_bench.evaluators.policies.stored.video import check_length, check_video, find_ffmpeg, write_video
+from cudc_bench.evaluators.policies import video
+from cudc_bench.evaluators.policies.video import check_length, check_video, find_ffmpeg, write_video
 
 # Writes what it is given: arguments to one file, frames to the one that it is asked for.
 FFMPEG = """#!{python}

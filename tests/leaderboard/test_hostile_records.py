@@ -18,7 +18,7 @@ from rich.console import Console
 
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import write_record
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.leaderboard.load import load_records
 from cudc_bench.leaderboard.overall import build_overall
 from cudc_bench.leaderboard.published import beside_paper

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import cudc_bench
 from cudc_bench.artefacts.provenance import commit
 from cudc_bench.artefacts.records import Record, read_record
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.load import column, load_records

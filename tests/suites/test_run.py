@@ -23,7 +23,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import dataset_path, parse_id
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.records import Record, read_record, write_record
-from cudc_bench.cli.app.app import main
+from cudc_bench.cli.app import main
 from cudc_bench.data.staging import staging
 from cudc_bench.errors import HeldError, RunError, UsageError
 from cudc_bench.files import lives
