@@ -29,17 +29,19 @@ _STACKED = """
 import sys
 import torch
 from pathlib import Path
-from cudc_bench.evaluators import api
 from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.evaluators.running.evaluate import evaluate_members
+from cudc_bench.evaluators.running.plans import make_plans
+from cudc_bench.evaluators.running.runs import Run, Stack
+from cudc_bench.runs.execution import Execution
 from cudc_bench.settings.profiles import PROFILES
 profile, steps, *ids = sys.argv[1:]
 torch.set_num_threads(%d)
 settings = {"evaluate_every": steps, "milestones": f"[{steps}]", "evaluation_episodes": 1, "final_episodes": 1}
-(plan,) = api._plans(["td3"], PROFILES[profile], settings, int(steps))
-results, found = Path("stacked"), {one: read_manifest(one) for one in ids}
-runs = [api.Run(plan, one, there, None, there.seed, results / (one.replace("/", "-") + ".json")) for one, there in found.items()]
-api.evaluate_members(lambda n: None, runs=runs, device="cpu", reward=None, targets=[None] * len(runs), results=results,
-                     checkpoint_every=1e9, fresh=False, overwrite=True, policies=False)
+(plan,) = make_plans(["td3"], PROFILES[profile], settings, int(steps))
+runs = [Run(plan, one, there, None, there.seed, Path("stacked")) for one, there in ((one, read_manifest(one)) for one in ids)]
+execution = Execution(checkpoint_every=1e9, overwrite=True)
+evaluate_members(lambda n: None, stack=Stack("cpu", runs), execution=execution, reward=None, policies=False)
 """
 
 

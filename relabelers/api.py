@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,70 +63,112 @@ def relabel(
         RunError: the dataset is damaged or cannot be written.
         Interrupted: the process was asked to leave; the rewards so far are kept.
     """
-    base_id = parse_id(dataset_id)
-    base = read_manifest(base_id)
-    if base.task is not None:
-        if base.base is None:
-            raise UsageError(f"'{base_id}' came with the rewards of {base.task} and has no base to relabel; import it without --task.")
-        raise UsageError(f"'{base_id}' is already relabelled for {base.task}; relabel its base of '{base.base.id}'.")
-    if "infos/physics" not in base.fields:
-        hint = "; if the rewards in its files are a task's, import them with --task" if base.imported else ""
-        raise UsageError(f"'{base_id}' holds no physics states and cannot be relabelled{hint}.")
-    facts = check_domain(base.domain)
-    custom = None if reward is None else load_reward(reward, facts)
-    if custom is not None and tasks is not None:
-        raise UsageError("--reward makes a task of its own; leave out --tasks.")
-    chosen = check_tasks(facts, tasks) if custom is None else (custom.name,)
-    if not chosen:
-        raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
-    ids = {task: base_id.for_task(task) for task in chosen}
-    function = None if custom is None else RewardFunction(reference=custom.reference, sha256=custom.sha256)
-    left = {}
-    for task, one in ids.items():
-        if overwrite or not _is_made(base, base_id, one, task, function, standalone):
-            check_free(one, overwrite)
-            left[task] = one
+    wanted = _Wanted.checked(dataset_id, tasks, reward, standalone)
+    left = {task: one for task, one in wanted.ids.items() if overwrite or not wanted.is_made(task)}
+    for one in left.values():
+        check_free(one, overwrite)
     check_folder(datasets_root(), "the dataset root")
+    ids = [str(one) for one in wanted.ids.values()]
     if check_only:
-        return [str(one) for one in ids.values()]
+        return ids
 
-    for task, one in ids.items():
+    for task, one in wanted.ids.items():
         if task not in left:
             tidy(one)
             say(f"{one} was made from this very base: kept")
-    if not left:
-        return [str(one) for one in ids.values()]
-    say(f"relabel {base_id} ({base.describe()}) for {', '.join(left)}")
+    if left:
+        say(f"relabel {wanted.base_id} ({wanted.base.describe()}) for {', '.join(left)}")
+        _make(wanted, left, overwrite)
+    return ids
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """The labelled datasets that somebody asks for.
+
+    Attributes:
+        base_id, base, domain: what they are made from.
+        custom: an own reward function instead of tasks.
+        standalone: whether they hold the base's arrays, too.
+        ids: theirs, by task.
+    """
+
+    base_id: DatasetId
+    base: Manifest
+    domain: Domain
+    custom: CustomReward | None
+    standalone: bool
+    ids: dict[str, DatasetId]
+
+    @classmethod
+    def checked(
+        cls, dataset_id: str, tasks: Sequence[str] | None, reward: str | Callable[[Measured], Any] | None, standalone: bool
+    ) -> _Wanted:
+        """The same as a user asks for it.
+
+        Raises:
+            UsageError: it cannot be.
+        """
+        base_id = parse_id(dataset_id)
+        base = read_manifest(base_id)
+        if base.task is not None:
+            if base.base is None:
+                raise UsageError(f"'{base_id}' came with the rewards of {base.task} and has no base to relabel; import it without --task.")
+            raise UsageError(f"'{base_id}' is already relabelled for {base.task}; relabel its base of '{base.base.id}'.")
+        if "infos/physics" not in base.fields:
+            hint = "; if the rewards in its files are a task's, import them with --task" if base.imported else ""
+            raise UsageError(f"'{base_id}' holds no physics states and cannot be relabelled{hint}.")
+        facts = check_domain(base.domain)
+        custom = None if reward is None else load_reward(reward, facts)
+        if custom is not None and tasks is not None:
+            raise UsageError("--reward makes a task of its own; leave out --tasks.")
+        chosen = check_tasks(facts, tasks) if custom is None else (custom.name,)
+        if not chosen:
+            raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
+        return cls(base_id, base, facts, custom, standalone, {task: base_id.for_task(task) for task in chosen})
+
+    @property
+    def function(self) -> RewardFunction | None:
+        """What manifests say of the own reward function."""
+        return None if self.custom is None else RewardFunction(reference=self.custom.reference, sha256=self.custom.sha256)
+
+    @property
+    def origin(self) -> Base:
+        """What manifests say of the base."""
+        return Base(id=str(self.base_id), fingerprint=self.base.fingerprint, linked=not self.standalone)
+
+    def is_made(self, task: str) -> bool:
+        """Whether the dataset of a task exists and is what this would make."""
+        dataset_id = self.ids[task]
+        try:
+            there = read_manifest(dataset_id) if exists(dataset_id) else None
+        except (UsageError, RunError):
+            return False
+        return there is not None and (there.task, there.base, there.reward) == (task, self.origin, self.function)
+
+
+def _make(wanted: _Wanted, left: dict[str, DatasetId], overwrite: bool) -> None:
+    """Make the datasets of some tasks, with one pass over the states."""
+    base_id, base = wanted.base_id, wanted.base
     started = time.monotonic()
     with ExitStack() as stack:
         for one in left.values():
             stack.callback(remove_empty, dataset_path(one).parent)  # a task without datasets, if this ends without one
         folders = {task: stack.enter_context(staging(one, resume=True)) for task, one in left.items()}
-        if not overwrite and all(_is_made(base, base_id, one, task, function, standalone) for task, one in left.items()):
-            return [str(one) for one in ids.values()]  # by another process, while this one was starting
+        if not overwrite and all(map(wanted.is_made, left)):
+            return  # by another process, while this one was starting
         stack.enter_context(interrupts.leave_well())
-        rewards = _rewards(base_id, base, facts, tuple(left), custom, checkpoints_path(next(iter(left.values()))))
+        rewards = _rewards(base_id, base, wanted.domain, tuple(left), wanted.custom, checkpoints_path(next(iter(left.values()))))
         # The tasks' datasets share observations and actions.
         coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)
         for index, (task, one) in enumerate(left.items()):
             columns = [np.ascontiguousarray(episode[:, index]) for episode in rewards]
             try:
-                _write(base, base_id, one, task, function, columns, standalone, started, coverage, folders[task] / "dataset")
+                _write(wanted, task, columns, started, coverage, folders[task] / "dataset")
             except OSError as error:
                 raise unwritable(f"'{one}' below {dataset_path(one).parent}", error) from None
             mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
             say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
-    return [str(one) for one in ids.values()]
-
-
-def _is_made(base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, reward: RewardFunction | None, standalone: bool) -> bool:
-    """Whether the dataset of that id exists and is what this would make."""
-    try:
-        there = read_manifest(dataset_id) if exists(dataset_id) else None
-    except (UsageError, RunError):
-        return False
-    origin = Base(id=str(base_id), fingerprint=base.fingerprint, linked=not standalone)
-    return there is not None and (there.task, there.base, there.reward) == (task, origin, reward)
 
 
 def _rewards(
@@ -186,22 +229,20 @@ def _resume(folder: Path, decisive: dict[str, Any]) -> list[NDArray[np.float32]]
     return found
 
 
-def _write(
-    base: Manifest, base_id: DatasetId, dataset_id: DatasetId, task: str, reward: RewardFunction | None,
-    rewards: list[NDArray[np.float32]], standalone: bool, started: float, coverage: Coverage, folder: Path,
-) -> None:  # fmt: skip
+def _write(wanted: _Wanted, task: str, rewards: list[NDArray[np.float32]], started: float, coverage: Coverage, folder: Path) -> None:
+    base_id, base, dataset_id, reward = wanted.base_id, wanted.base, wanted.ids[task], wanted.function
     hasher = FieldHasher()
     for episode in rewards:
         hasher.update("rewards", episode)
     fields = base.fields | hasher.digests()
-    flags = ["--standalone"] if standalone else []
+    flags = ["--standalone"] if wanted.standalone else []
     options = {"--task": task} if reward is None else {"--reward": reward.reference}
     manifest = base.model_copy(
         update={
             "task": task,
             "fields": fields,
             "fingerprint": fingerprint(fields),
-            "base": Base(id=str(base_id), fingerprint=base.fingerprint, linked=not standalone),
+            "base": wanted.origin,
             "reward": reward,
             "command": command_line(f"relabel {base_id}", options, {}, *flags),
         }
@@ -210,6 +251,7 @@ def _write(
     labels = f"{base.domain} {task}" if reward is None else f"the function {reward.reference}"
     description = f"{base_id} with the rewards of {labels}; reward t is that of the state which action t led to."
     shutil.rmtree(folder, ignore_errors=True)
-    write_linked(dataset_path(base_id) / "data" / MAIN_FILE, folder / "data", dataset_path(dataset_id) / "data", rewards, standalone)
+    place = dataset_path(dataset_id) / "data"
+    write_linked(dataset_path(base_id) / "data" / MAIN_FILE, folder / "data", place, rewards, wanted.standalone)
     write_metadata(folder / "data", manifest, str(dataset_id), description, coverage)
     publish(folder, dataset_id)

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,13 @@ from cudc_bench.data.writer import write_episodes
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints, digest
-from cudc_bench.execution.parallel import Job, run_jobs, worker_count
 from cudc_bench.execution.progress import Advance, say
-from cudc_bench.execution.runlog import LOG_DIR, LogTarget, check_log, open_log
+from cudc_bench.execution.runlog import LOG_DIR, LogTarget, open_log
 from cudc_bench.files import check_folder
 from cudc_bench.learning.learner import check_precision
+from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.config import config_hash
-from cudc_bench.settings.profiles import resolve_device, resolve_profile
+from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
 from cudc_bench.stages import Planned
 
@@ -87,52 +88,34 @@ def collect(
     seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
-    ids = [default_id(domain, method, seed) if dataset_id is None else parse_id(dataset_id) for seed in seeds]
-    done = [] if overwrite else [one for seed, one in zip(seeds, ids, strict=True) if _is_made(setting, seed, one)]
-    for one in ids:
-        check_free(one, overwrite or one in done)
+    members = [(seed, default_id(domain, method, seed) if dataset_id is None else parse_id(dataset_id)) for seed in seeds]
+    left = [member for member in members if overwrite or not _is_made(setting, *member)]
+    for member in members:
+        check_free(member[1], overwrite or member not in left)
     check_folder(datasets_root(), "the dataset root")
-    logs = check_log(log, log_dir)
-    device = resolve_device(device)
-    check_precision(setting.kind, method, setting.loop.precision, device)
-    members = list(zip(seeds, ids, strict=True))
-    left = [member for member in members if member[1] not in done]
-    if device == "cuda":
-        # A stack that was interrupted while its datasets were being published goes on as a whole.
-        whole = _Run(setting, members, device)
-        runs, count = [whole if whole.is_interrupted() else _Run(setting, left, device)] if left else [], 1
-    else:
-        # The threads of each run, and so its result, must not depend on how many are left to do.
-        runs, count = [_Run(setting, [member], device) for member in left], worker_count(workers, len(members))
-    if not fresh:
-        for run in runs:
-            run.checkpoints().check(" and ".join(f"'{one}'" for _, one in run.members), "collect")
+    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir)
+    check_precision(setting.kind, method, setting.loop.precision, execution.device)
+    work = Work.plan(execution, "collect", [members], left, partial(_Stack, setting, execution.device))
+    ids = [str(one) for _, one in members]
     if check_only:
-        return [str(one) for one in ids]
+        return ids
 
-    for one in done:
-        tidy(one)
-        say(f"{one} was made by this very run: kept")
-    if not runs:
-        return [str(one) for one in ids]
+    for member in members:
+        if member not in left:
+            tidy(member[1])
+            say(f"{member[1]} was made by this very run: kept")
+    if not work.stacks:
+        return ids
     say_whose_values(setting)
-    say(f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each, {device}")
-    jobs = [
-        Job(
-            description=f"{method} seed {format_seeds([seed for seed, _ in run.members])}",
-            total=setting.loop.steps,
-            arguments={
-                "run": run, "targets": [_target(run, seed, one, log, logs) for seed, one in run.members], "overwrite": overwrite,
-                "fresh": fresh, "checkpoint_every": checkpoint_every,
-            },
-        )
-        for run in runs
-    ]  # fmt: skip
-    run_jobs(collect_members, jobs, unit="steps", workers=count, threads=chosen.threads)
-    for run in runs:
-        for _, one in run.members:
+    say(
+        f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each,"
+        f" {execution.device}"
+    )
+    work.carry_out(collect_members, unit="steps", total=setting.loop.steps, threads=chosen.threads)
+    for stack in work.stacks:
+        for _, one in stack.members:
             say(f"wrote {one} to {dataset_path(one)}")
-    return [str(one) for one in ids]
+    return ids
 
 
 def plan_collect(
@@ -164,17 +147,29 @@ def plan_collect(
 
 
 @dataclass(frozen=True)
-class _Run:
-    """One stack of members, in the order of their seeds, and where its checkpoints are: with the first member's unfinished dataset."""
+class _Stack:
+    """Members in the order of their seeds, and where their checkpoints are: with the first one's unfinished dataset."""
 
     setting: Setting
-    members: list[tuple[int, DatasetId]]
     device: str
+    members: list[tuple[int, DatasetId]]
+
+    @property
+    def seeds(self) -> list[int]:
+        return [seed for seed, _ in self.members]
+
+    @property
+    def name(self) -> str:
+        return " and ".join(f"'{one}'" for _, one in self.members)
+
+    @property
+    def label(self) -> str:
+        return f"{self.setting.method} seed {format_seeds(self.seeds)}"
 
     def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
         setting = self.setting
         decisive = {
-            "method": setting.method, "domain": setting.domain, "seeds": [seed for seed, _ in self.members], "profile": setting.profile,
+            "method": setting.method, "domain": setting.domain, "seeds": self.seeds, "profile": setting.profile,
             "hyperparameters": setting.values, "device": self.device, **origin(plugins.package("collectors", setting.method)),
         }  # fmt: skip
         return Checkpoints(checkpoints_path(self.members[0][1]), decisive, every)
@@ -198,31 +193,31 @@ def _is_made(setting: Setting, seed: int, dataset_id: DatasetId) -> bool:
     return (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash) == wanted
 
 
-def _target(run: _Run, seed: int, dataset_id: DatasetId, log: str | None, folder: Path) -> LogTarget | None:
-    if log is None:
+def _target(setting: Setting, execution: Execution, seed: int, dataset_id: DatasetId) -> LogTarget | None:
+    if execution.log is None:
         return None
-    setting = run.setting
-    name = f"{setting.method}-seed{seed}"
-    return LogTarget(log, folder, "collect", setting.profile, setting.domain, str(dataset_id), name, setting.values)
+    title = f"{setting.method}-seed{seed}"
+    return LogTarget(execution.log, execution.log_dir, "collect", setting.profile, setting.domain, str(dataset_id), title, setting.values)
 
 
-def collect_members(
-    advance: Advance, *, run: _Run, targets: list[LogTarget | None], overwrite: bool, fresh: bool, checkpoint_every: float,
-) -> None:  # fmt: skip
+def collect_members(advance: Advance, *, stack: _Stack, execution: Execution) -> None:
     """Collect some members in this process and publish their datasets (the job of :func:`collect`)."""
-    setting = run.setting
+    setting, members = stack.setting, stack.members
     facts, values = check_domain(setting.domain), setting.values
-    with ExitStack() as stack:
-        folders = [stack.enter_context(staging(one, resume=not fresh)) for _, one in run.members]
-        if not overwrite and all(_is_made(setting, seed, one) for seed, one in run.members):
+    with ExitStack() as opened:
+        folders = [opened.enter_context(staging(one, resume=not execution.fresh)) for _, one in members]
+        if not execution.overwrite and all(_is_made(setting, seed, one) for seed, one in members):
             return  # by another process, while this one was starting
-        journals = [Journal(folder, stack.enter_context(open_log(target))) for folder, target in zip(folders, targets, strict=True)]
-        collector = setting.kind(setting.space, setting.config, [seed for seed, _ in run.members], run.device)
-        checkpoints = run.checkpoints(checkpoint_every)
+        journals = [
+            Journal(folder, opened.enter_context(open_log(_target(setting, execution, *member))))
+            for folder, member in zip(folders, members, strict=True)
+        ]
+        collector = setting.kind(setting.space, setting.config, stack.seeds, stack.device)
+        checkpoints = stack.checkpoints(execution.checkpoint_every)
         run_collection(collector, setting.loop, facts, journals, advance, checkpoints)
         summaries, state = collector.summary(), digest(collector.state_dict())
         # The checkpoints lie with the first member, so that it is the last to be published.
-        for (seed, one), folder, journal, summary in reversed(list(zip(run.members, folders, journals, summaries, strict=True))):
+        for (seed, one), folder, journal, summary in reversed(list(zip(members, folders, journals, summaries, strict=True))):
             dataset = folder / "dataset"
             shutil.rmtree(dataset, ignore_errors=True)
             written = write_episodes(dataset / "data", journal.episodes())
@@ -243,7 +238,7 @@ def collect_members(
                 pilot=setting.pilot,
                 diagnostics=journal.last | summary,
                 command=_command(setting, seed, one),
-                **stamp(checkpoints.seconds, run.device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+                **stamp(checkpoints.seconds, stack.device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
             )
             write_metadata(dataset / "data", manifest, str(one), _description(facts, setting.method))
             journal.close()

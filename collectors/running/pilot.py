@@ -9,7 +9,7 @@ the paper says its own thresholds were set for, and looks at no result.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,14 @@ from cudc_bench.envs import check_domain
 from cudc_bench.errors import BrokenDownError, UsageError
 from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
 from cudc_bench.execution.locks import locked
-from cudc_bench.execution.parallel import Job, run_jobs, worker_count
+from cudc_bench.execution.parallel import worker_count
 from cudc_bench.execution.progress import Advance, say
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.profiles import resolve_device, resolve_profile
+from cudc_bench.runs.execution import Execution, Work
+from cudc_bench.settings.profiles import Profile, resolve_profile
 
 from .journal import Journal
 from .loop import run_collection
@@ -71,53 +72,100 @@ def pilot(
         RunError: a run failed, or the file is damaged or cannot be written.
         Interrupted: the process was asked to leave; what it had done is kept.
     """
-    chosen, device = resolve_profile(profile), resolve_device(device)
+    chosen = resolve_profile(profile)
+    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh)
     check_domain(domain)
-    needy = {
-        name: plugins.load("collectors", name)
-        for name in ([plugins.check_name("collectors", name) for name in methods] if methods else plugins.names("collectors"))
-    }
-    wanting = {name for name, kind in needy.items() if kind.threshold(kind.configure(domain, chosen.collect, settings)) is not None}
-    if methods and (others := [name for name in methods if name not in wanting]):
-        raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
-    found = [settle(name, domain, chosen, settings, piloting=True) for name in needy if name in wanting]
+    found = [settle(name, domain, chosen, settings, piloting=True) for name in _wanting(methods, domain, chosen, settings)]
     for one in found:
-        check_precision(one.kind, one.method, one.loop.precision, device)
+        check_precision(one.kind, one.method, one.loop.precision, execution.device)
     path = thresholds_path()
     check_file(path, "the file of thresholds")
     # What is damaged would be found when the results are added to it, with the work done.
     read_thresholds(path)
-    count = worker_count(1 if device == "cuda" and workers is None else workers, len(found))
-    folder = path.parent / ".pilots"
-    first, last = (round(share * found[0].loop.steps) for share in (FIRST, LAST))
-    if not fresh:
-        for one in found:
-            _checkpoints(folder, one, last, device).check(_what(one), "pilot")
-    say(f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each, {device}")
-    common = {"first": first, "last": last, "device": device, "folder": folder, "fresh": fresh, "every": checkpoint_every}
-    jobs = [Job(one.method, last, {"setting": one, **common}) for one in found]
-    results = run_jobs(measure, jobs, unit="steps", workers=count, threads=chosen.threads)
+    if execution.device == "cuda":
+        # Not in one stack: each method is another class. So many at a time as somebody asks for.
+        execution = replace(execution, workers=workers or 1)
+    stacks = [_Stack(path.parent / ".pilots", one, execution.device) for one in found]
+    work = Work(execution, stacks, worker_count(execution.workers, len(found)))
+    work.check("pilot")
+    last = stacks[0].last
+    say(
+        f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each,"
+        f" {execution.device}"
+    )
+    results: list[Pilot] = work.carry_out(measure, unit="steps", total=last, threads=chosen.threads)
     write_thresholds(path, results)
-    for one in found:
-        _checkpoints(folder, one, last, device).remove()
-    remove_empty(folder)
+    for stack in stacks:
+        stack.checkpoints().remove()
+    remove_empty(path.parent / ".pilots")
     for result in results:
         say(f"{result.method} on {domain}: {result.name} = {result.value:.6g}, from {result.updates:,} updates")
     say(f"wrote {path}")
-    return list(results)
+    return results
 
 
-def measure(advance: Advance, *, setting: Setting, first: int, last: int, device: str, folder: Path, fresh: bool, every: float) -> Pilot:
+def _wanting(methods: Sequence[str] | None, domain: str, profile: Profile, settings: Mapping[str, Any] | None) -> list[str]:
+    """Those of some methods, or of all there are, that need a threshold.
+
+    Raises:
+        UsageError: one was named that needs none.
+    """
+    names = [plugins.check_name("collectors", name) for name in methods] if methods else plugins.names("collectors")
+    kinds = {name: plugins.load("collectors", name) for name in names}
+    wanting = [name for name, kind in kinds.items() if kind.threshold(kind.configure(domain, profile.collect, settings)) is not None]
+    if methods and (others := [name for name in methods if name not in wanting]):
+        raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
+    return wanting
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """One method, and where its run is kept: in a folder of its own below that of all pilots."""
+
+    folder: Path
+    setting: Setting
+    device: str
+
+    @property
+    def first(self) -> int:
+        return round(FIRST * self.setting.loop.steps)
+
+    @property
+    def last(self) -> int:
+        return round(LAST * self.setting.loop.steps)
+
+    @property
+    def name(self) -> str:
+        return f"a pilot of {self.setting.method} on {self.setting.domain}"
+
+    @property
+    def label(self) -> str:
+        return self.setting.method
+
+    def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+        setting = self.setting
+        decisive = {
+            "method": setting.method, "domain": setting.domain, "seeds": [SEED], "steps": self.last, "profile": setting.profile,
+            "hyperparameters": setting.values, "device": self.device, **origin(plugins.package("collectors", setting.method)),
+        }  # fmt: skip
+        return Checkpoints(self.folder / f"{setting.method}-{domain_slug(setting.domain)}-{setting.profile}", decisive, every)
+
+    def is_interrupted(self) -> bool:
+        return self.checkpoints().folder.exists()
+
+
+def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
     """Run one method with k fixed and measure its threshold (the job of :func:`pilot`).
 
-    What it has done is kept in a folder of its own below ``folder`` until it is done.
+    What it has done is kept until all are done.
     """
+    setting, device, first, last = stack.setting, stack.device, stack.first, stack.last
     kind, loop = setting.kind, replace(setting.loop, steps=last)
     name = kind.threshold(setting.config)
-    checkpoints = _checkpoints(folder, setting, last, device, every)
+    checkpoints = stack.checkpoints(execution.checkpoint_every)
     place = checkpoints.folder
-    with locked(place.with_name(f"{place.name}.lock"), _what(setting)), open_log(None) as nowhere:
-        if fresh:
+    with locked(place.with_name(f"{place.name}.lock"), stack.name), open_log(None) as nowhere:
+        if execution.fresh:
             checkpoints.remove()
         place.mkdir(parents=True, exist_ok=True)
         collector = kind(setting.space, setting.config, [SEED], device)
@@ -133,7 +181,7 @@ def measure(advance: Advance, *, setting: Setting, first: int, last: int, device
             checkpoints.remove()
             raise
         except OSError as error:
-            raise unwritable(f"{_what(setting)} into {place}", error) from None
+            raise unwritable(f"{stack.name} into {place}", error) from None
     return Pilot(
         name=name,
         value=float(values.double().quantile(QUANTILE)),
@@ -164,18 +212,6 @@ def _check(values: torch.Tensor, setting: Setting, last: int, horizon: int) -> N
         raise BrokenDownError(f"the pilot of {setting.method} learnt nothing within {last:,} steps; take a longer run or fewer seed_steps.")
     if not values.isfinite().all():
         raise BrokenDownError(f"the pilot of {setting.method} broke down: not finite is what it measures; try a smaller learning_rate.")
-
-
-def _what(setting: Setting) -> str:
-    return f"a pilot of {setting.method} on {setting.domain}"
-
-
-def _checkpoints(folder: Path, setting: Setting, last: int, device: str, every: float = CHECKPOINT_EVERY) -> Checkpoints:
-    decisive = {
-        "method": setting.method, "domain": setting.domain, "seeds": [SEED], "steps": last, "profile": setting.profile,
-        "hyperparameters": setting.values, "device": device, **origin(plugins.package("collectors", setting.method)),
-    }  # fmt: skip
-    return Checkpoints(folder / f"{setting.method}-{domain_slug(setting.domain)}-{setting.profile}", decisive, every)
 
 
 class _Medians:

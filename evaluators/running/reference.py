@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +23,21 @@ from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
 from cudc_bench.execution.locks import locked
-from cudc_bench.execution.parallel import Job, run_jobs, worker_count
 from cudc_bench.execution.progress import Advance, say
-from cudc_bench.execution.runlog import LOG_DIR, LogTarget, check_log, open_log
+from cudc_bench.execution.runlog import LOG_DIR, LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.settings.evaluate_config import OnlineConfig
-from cudc_bench.settings.profiles import resolve_device, resolve_profile
+from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
 
 from ..td3 import TD3, TD3Config
-from .evaluate import CHECKPOINTS
 from .loop import Actor, Arena, Outcome
 from .online import run_online
+from .runs import CHECKPOINTS
 
 _PATIENCE = 60.0  # seconds; whoever holds the lock writes a file
 
@@ -75,24 +76,10 @@ class Plan:
 
     def lock(self, task: str) -> Path:
         """Of the reference of a task, while it is put together."""
-        return self._hidden(self.path(task).with_suffix(".lock"))
+        return self.hidden(self.path(task).with_suffix(".lock"))
 
-    def checkpoints(self, members: Sequence[Member], every: float = CHECKPOINT_EVERY) -> Checkpoints:
-        """Those of a stack."""
-        decisive = {
-            "hyperparameters": self.values, "domain": self.domain, "members": [f"{one.task} seed {one.seed}" for one in members],
-            "device": self.device, **origin({}),
-        }  # fmt: skip
-        return Checkpoints(self.folder(members), decisive, every)
-
-    def folder(self, members: Sequence[Member]) -> Path:
-        """Where a stack keeps what it has done so far."""
-        if len(members) == 1:
-            return self._hidden(self.path(members[0].task).with_name(f"reference-seed{members[0].seed}"))
-        names = [str(self.path(one.task).relative_to(self.results)) + f" {one.seed}" for one in members]
-        return self.results / CHECKPOINTS / "stacks" / f"reference-{config_hash({'members': names})}"
-
-    def _hidden(self, path: Path) -> Path:
+    def hidden(self, path: Path) -> Path:
+        """What is kept for a file while it is being made lies under its name here."""
         return self.results / CHECKPOINTS / path.relative_to(self.results)
 
 
@@ -102,6 +89,74 @@ class Member:
 
     task: str
     seed: int
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Members that are trained side by side."""
+
+    plan: Plan
+    members: list[Member]
+
+    @property
+    def tasks(self) -> list[str]:
+        """Of the members, each once."""
+        return list(dict.fromkeys(one.task for one in self.members))
+
+    @property
+    def seeds(self) -> list[int]:
+        """Of the members."""
+        return [one.seed for one in self.members]
+
+    @property
+    def folder(self) -> Path:
+        """Where they keep what they have done so far."""
+        plan = self.plan
+        if len(self.members) == 1:
+            (one,) = self.members
+            return plan.hidden(plan.path(one.task).with_name(f"reference-seed{one.seed}"))
+        names = [str(plan.path(one.task).relative_to(plan.results)) + f" {one.seed}" for one in self.members]
+        return plan.results / CHECKPOINTS / "stacks" / f"reference-{config_hash({'members': names})}"
+
+    @property
+    def lock(self) -> Path:
+        """Held by whoever trains them."""
+        return self.folder.with_name(f"{self.folder.name}.lock")
+
+    @property
+    def label(self) -> str:
+        """What stands beside their progress bar."""
+        return f"td3 online: {self._names}"
+
+    @property
+    def name(self) -> str:
+        """What they make, as messages say it."""
+        return f"the reference of {self._names} at {self.plan.profile}"
+
+    @property
+    def _names(self) -> str:
+        names = [f"{one.task} seed {one.seed}" for one in self.members]
+        return " + ".join(names) if len(names) < 3 else f"{len(names)} trainings"
+
+    def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
+        """Where their state is kept."""
+        plan = self.plan
+        decisive = {
+            "hyperparameters": plan.values, "domain": plan.domain, "members": [f"{one.task} seed {one.seed}" for one in self.members],
+            "device": plan.device, **origin({}),
+        }  # fmt: skip
+        return Checkpoints(self.folder, decisive, every)
+
+    def is_interrupted(self) -> bool:
+        """Whether these very members have been begun and not ended."""
+        return self.folder.exists()
+
+    def tidy(self) -> None:
+        """Remove what a process left that was killed just after it had written a reference; nothing if somebody is writing it again."""
+        if self.folder.exists() or self.lock.exists():
+            with suppress(RunError), locked(self.lock, ""):
+                self.checkpoints().remove()
+            remove_empty_above(self.folder, self.plan.results / CHECKPOINTS)
 
 
 class RandomActions:
@@ -163,46 +218,24 @@ def make_references(
         RunError: the run failed; the references written before stay, and what the run had done until its last checkpoint is kept.
         Interrupted: the process was asked to leave; what it had done is kept.
     """
-    plan = _plan(domain, tasks, seeds, profile, dict(settings or {}), output, device)
-    logs = check_log(log, log_dir)
-    threads = resolve_profile(profile).threads
-    worker_count(workers, 1)
-    todo = [task for task in plan.tasks if overwrite or not _done(plan, task)]
+    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir)
+    plan = _plan(domain, tasks, seeds, profile, dict(settings or {}), output, execution.device)
+    missing = [task for task in plan.tasks if overwrite or not _done(plan, task)]
     members = [Member(task, seed) for task in plan.tasks for seed in plan.seeds]
-    if plan.device == "cuda":
-        # A stack that was interrupted while its references were being written goes on as a whole.
-        whole = plan.folder(members).exists() and bool(todo)
-        groups, count = [members if whole else [one for one in members if one.task in todo]] if todo else [], 1
-    else:
-        # The threads of each run, and so its result, must not depend on how many are left to do.
-        groups, count = [[one] for one in members if one.task in todo], worker_count(workers, len(members))
+    work = Work.plan(execution, "reference", [members], [one for one in members if one.task in missing], partial(Stack, plan))
+    for stack in work.stacks if fresh else ():
+        with locked(stack.lock, stack.name):
+            stack.checkpoints().remove()
     for group in [members] if plan.device == "cuda" else [[one] for one in members]:
-        if not {one.task for one in group} & set(todo):
-            _tidy(plan, group)
-    for group in groups:
-        if fresh:
-            with locked(_lock(plan, group), _what(plan, group)):
-                plan.checkpoints(group).remove()
-        else:
-            plan.checkpoints(group).check(_what(plan, group), "reference")
+        if not {one.task for one in group} & set(missing):
+            Stack(plan, group).tidy()
     say(
         f"reference of {', '.join(plan.tasks)} on {domain}: profile {plan.profile}, TD3 online, seeds {format_seeds(plan.seeds)},"
         f" {plan.loop.steps:,} steps each, {plan.device}"
-        + (f"; {len(plan.tasks) - len(todo)} made before are kept" if len(todo) < len(plan.tasks) else "")
+        + (f"; {len(plan.tasks) - len(missing)} made before are kept" if len(missing) < len(plan.tasks) else "")
     )
-    jobs = [
-        Job(
-            description=f"td3 online: {_names(group)}",
-            total=plan.loop.steps,
-            arguments={
-                "plan": plan, "groups": groups, "group": group, "targets": [_target(plan, one, log, logs) for one in group],
-                "checkpoint_every": checkpoint_every, "overwrite": overwrite,
-            },
-        )
-        for group in groups
-    ]  # fmt: skip
-    if jobs:
-        run_jobs(train_members, jobs, unit="steps", workers=count, threads=threads)
+    threads = resolve_profile(profile).threads
+    work.carry_out(train_members, unit="steps", total=plan.loop.steps, threads=threads, stacks=work.stacks)
     return [plan.path(task) for task in plan.tasks]
 
 
@@ -219,7 +252,7 @@ def _plan(
     layers = (chosen.collect, chosen.evaluate)
     loop, config = build(OnlineConfig, *layers, settings), TD3.configure(chosen.evaluate, settings)
     overrides = changed(as_dict(loop, config), as_dict(build(OnlineConfig, *layers), TD3.configure(chosen.evaluate), later=True))
-    results, device = check_folder(output, "the output"), resolve_device(device)
+    results = check_folder(output, "the output")
     check_precision(TD3, "td3", loop.precision, device)
     found = check_tasks(check_domain(domain), tasks)
     return Plan(domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, device, results)
@@ -245,78 +278,55 @@ def _done(plan: Plan, task: str) -> bool:
     )
 
 
-def _names(group: Sequence[Member]) -> str:
-    names = [f"{one.task} seed {one.seed}" for one in group]
-    return " + ".join(names) if len(names) < 3 else f"{len(names)} trainings"
-
-
-def _what(plan: Plan, group: Sequence[Member]) -> str:
-    return f"the reference of {_names(group)} at {plan.profile}"
-
-
-def _lock(plan: Plan, group: Sequence[Member]) -> Path:
-    folder = plan.folder(group)
-    return folder.with_name(f"{folder.name}.lock")
-
-
-def _tidy(plan: Plan, group: Sequence[Member]) -> None:
-    """Remove what a process left that was killed just after it had written a reference; nothing if somebody is writing it again."""
-    folder = plan.folder(group)
-    if folder.exists() or _lock(plan, group).exists():
-        with suppress(RunError), locked(_lock(plan, group), ""):
-            plan.checkpoints(group).remove()
-        remove_empty_above(folder, plan.results / CHECKPOINTS)
-
-
-def _target(plan: Plan, one: Member, log: str | None, folder: Path) -> LogTarget | None:
-    if log is None:
+def _target(plan: Plan, one: Member, execution: Execution) -> LogTarget | None:
+    if execution.log is None:
         return None
-    place, name = f"{domain_namespace(plan.domain)}/{one.task}/seed{one.seed}", f"{one.task}-seed{one.seed}"
-    return LogTarget(log, folder, "reference", plan.profile, plan.domain, place, name, plan.values)
+    place, title = f"{domain_namespace(plan.domain)}/{one.task}/seed{one.seed}", f"{one.task}-seed{one.seed}"
+    return LogTarget(execution.log, execution.log_dir, "reference", plan.profile, plan.domain, place, title, plan.values)
 
 
-def train_members(
-    advance: Advance, *, plan: Plan, groups: list[list[Member]], group: list[Member], targets: list[LogTarget | None],
-    checkpoint_every: float, overwrite: bool,
-) -> None:  # fmt: skip
+def train_members(advance: Advance, *, stack: Stack, execution: Execution, stacks: list[Stack]) -> None:
     """Train some members in this process, and write the references of which nothing is left to do (the job of :func:`make_references`)."""
-    checkpoints = plan.checkpoints(group, checkpoint_every)
-    with ExitStack() as stack:
-        stack.callback(remove_empty_above, checkpoints.folder, plan.results / CHECKPOINTS)
-        stack.enter_context(locked(_lock(plan, group), _what(plan, group)))
-        tasks = list(dict.fromkeys(one.task for one in group))
-        if not overwrite and all(_done(plan, task) for task in tasks):
+    plan, checkpoints = stack.plan, stack.checkpoints(execution.checkpoint_every)
+    with ExitStack() as opened:
+        opened.callback(remove_empty_above, checkpoints.folder, plan.results / CHECKPOINTS)
+        opened.enter_context(locked(stack.lock, stack.name))
+        if not execution.overwrite and all(_done(plan, task) for task in stack.tasks):
             return  # by another process, while this one was starting
         if _finished(checkpoints) is None:
-            logs = [stack.enter_context(open_log(target)) for target in targets]
-            shards = [EpisodeShards(checkpoints.folder / f"{one.task}-seed{one.seed}") for one in group]
-            seeds = [one.seed for one in group]
-            facts = check_domain(plan.domain)
-            arena = Arena(facts, [one.task for one in group])
-            sizes = (facts.observation_size, facts.action_size)
-            agent = TD3(*sizes, plan.config, seeds, plan.device)
-            try:
-                outcomes = run_online(agent, plan.loop, facts, [one.task for one in group], arena, advance, shards, logs, checkpoints)
-                untrained = TD3(*sizes, plan.config, seeds, plan.device)
-                actors: dict[str, Actor] = {"random actions": RandomActions(seeds, facts.action_size), "untrained policy": untrained}
-                floors = [arena.evaluate(actor, seeds, what, 0, plan.loop.final_episodes).tolist() for what, actor in actors.items()]
-            except interrupts.Interrupted as error:
-                # While a floor was measured; all before it is kept.
-                raise interrupts.interrupted(error.where or "at its last step") from None
-            except BrokenDownError:
-                checkpoints.remove()
-                raise
-            runs = [_run(*parts).model_dump() for parts in zip(seeds, outcomes, *floors, strict=True)]
-            checkpoints.save(plan.loop.steps, {"finished": {"seconds": checkpoints.seconds, "runs": runs}})
-            for one in shards:
-                one.remove()
+            logs = [opened.enter_context(open_log(_target(plan, one, execution))) for one in stack.members]
+            _train(advance, stack, checkpoints, logs)
         else:
             advance(plan.loop.steps)
-        written = [_put_together(plan, task, groups, overwrite) for task in tasks]
+        written = [_put_together(plan, task, stacks, execution.overwrite) for task in stack.tasks]
         if all(written):
-            for other in groups:
-                if {one.task for one in other} <= set(tasks):
-                    plan.checkpoints(other).remove()
+            for other in stacks:
+                if set(other.tasks) <= set(stack.tasks):
+                    other.checkpoints().remove()
+
+
+def _train(advance: Advance, stack: Stack, checkpoints: Checkpoints, logs: Sequence[RunLog]) -> None:
+    """Train a stack and measure its floors; what came out is in its last checkpoint then."""
+    plan, seeds, tasks = stack.plan, stack.seeds, [one.task for one in stack.members]
+    shards = [EpisodeShards(checkpoints.folder / f"{one.task}-seed{one.seed}") for one in stack.members]
+    facts = check_domain(plan.domain)
+    arena, sizes = Arena(facts, tasks), (facts.observation_size, facts.action_size)
+    agent = TD3(*sizes, plan.config, seeds, plan.device)
+    try:
+        outcomes = run_online(agent, plan.loop, facts, tasks, arena, advance, shards, logs, checkpoints)
+        untrained = TD3(*sizes, plan.config, seeds, plan.device)
+        actors: dict[str, Actor] = {"random actions": RandomActions(seeds, facts.action_size), "untrained policy": untrained}
+        floors = [arena.evaluate(actor, seeds, what, 0, plan.loop.final_episodes).tolist() for what, actor in actors.items()]
+    except interrupts.Interrupted as error:
+        # While a floor was measured; all before it is kept.
+        raise interrupts.interrupted(error.where or "at its last step") from None
+    except BrokenDownError:
+        checkpoints.remove()
+        raise
+    runs = [_run(*parts).model_dump() for parts in zip(seeds, outcomes, *floors, strict=True)]
+    checkpoints.save(plan.loop.steps, {"finished": {"seconds": checkpoints.seconds, "runs": runs}})
+    for one in shards:
+        one.remove()
 
 
 def _run(seed: int, outcome: Outcome, random: list[float], untrained: list[float]) -> ReferenceRun:
@@ -337,24 +347,23 @@ def _finished(checkpoints: Checkpoints) -> dict[str, Any] | None:
     return found[0] if found else None
 
 
-def _put_together(plan: Plan, task: str, groups: Sequence[Sequence[Member]], overwrite: bool) -> bool:
+def _put_together(plan: Plan, task: str, stacks: Sequence[Stack], overwrite: bool) -> bool:
     """Write the reference of a task if all of its trainings are at their end; whichever job is the last to finish one does it.
 
     Returns:
         Whether it is there now.
     """
-    with ExitStack() as stack:
-        stack.enter_context(locked(plan.lock(task), f"'{plan.path(task)}'", _PATIENCE))
+    with locked(plan.lock(task), f"'{plan.path(task)}'", _PATIENCE):
         if not overwrite and _done(plan, task):
             return True
         seconds, runs = 0.0, []
-        for group in groups:
-            if task not in {one.task for one in group}:
+        for stack in stacks:
+            if task not in stack.tasks:
                 continue
-            if (there := _finished(plan.checkpoints(group))) is None:
+            if (there := _finished(stack.checkpoints())) is None:
                 return False
             seconds += there["seconds"]
-            runs += [run for one, run in zip(group, there["runs"], strict=True) if one.task == task]
+            runs += [run for one, run in zip(stack.members, there["runs"], strict=True) if one.task == task]
         head, dirty = commit()
         options = {"--domain": plan.domain, "--task": task, "--seeds": format_seeds(plan.seeds), "--profile": plan.profile}
         reference = Reference(

@@ -18,7 +18,7 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.policies.rollout import play, recorded_seeds
 from cudc_bench.evaluators.policies.stored import load_policy, policy_path
 from cudc_bench.evaluators.running import evaluate as api
-from cudc_bench.evaluators.running.evaluate import load_members
+from cudc_bench.evaluators.running.datasets import load_members
 from cudc_bench.evaluators.running.loop import Arena, run_evaluation
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints

@@ -21,6 +21,7 @@ from cudc_bench.evaluators.running import online, reference
 from cudc_bench.evaluators.running.loop import Arena
 from cudc_bench.evaluators.running.reference import RandomActions, make_references
 from cudc_bench.execution import interrupts
+from cudc_bench.runs.execution import Execution
 from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.settings.seeding import episode_seed
 
@@ -178,12 +179,10 @@ def test_a_stack_of_all_tasks_and_seeds_makes_the_references_of_its_members_alon
 ) -> None:
     """As on CUDA: one training of all of them, which is continued as a whole if it ended before all references were written."""
     plan = reference._plan("jaco", (LEFT, RIGHT), (1, 2), "smoke", dict(SHORT), tmp_path, "cpu")
-    members = [reference.Member(task, seed) for task in plan.tasks for seed in plan.seeds]
+    stack = reference.Stack(plan, [reference.Member(task, seed) for task in plan.tasks for seed in plan.seeds])
 
     def train() -> None:
-        reference.train_members(
-            lambda n: None, plan=plan, groups=[members], group=members, targets=[None] * 4, checkpoint_every=0.0, overwrite=False
-        )
+        reference.train_members(lambda n: None, stack=stack, execution=Execution(checkpoint_every=0.0), stacks=[stack])
 
     write, calls = reference.write_reference, [0]
 

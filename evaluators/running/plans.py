@@ -1,0 +1,181 @@
+"""What is to be trained: algorithms with all their hyperparameters, on which datasets and how many of their transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.artefacts.manifest import Manifest, read_manifest
+from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
+from cudc_bench.errors import UsageError
+from cudc_bench.learning.learner import check_precision
+from cudc_bench.settings.config import as_dict, build, changed, check_settings
+from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones, plain_values, profile_values
+from cudc_bench.settings.profiles import Profile
+from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One algorithm with everything that it needs.
+
+    Attributes:
+        algo, kind: its name and class.
+        profile: the set of hyperparameters that it starts from.
+        loop, config: all hyperparameters.
+        overrides: those that the user changed.
+    """
+
+    algo: str
+    kind: Any
+    profile: str
+    loop: EvaluateConfig
+    config: Any
+    overrides: dict[str, Any]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All hyperparameters by name."""
+        return as_dict(self.loop, self.config)
+
+
+def make_plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], steps: int | None) -> list[Plan]:
+    """One for each algorithm; a setting must be known to one of them at least.
+
+    Raises:
+        UsageError: there is none, or a setting is wrong.
+    """
+    kinds = {name: plugins.load("evaluators", name) for name in algos}
+    if not kinds:
+        raise UsageError(f"no algorithm was given; allowed: {', '.join(plugins.names('evaluators'))}.")
+    check_settings(settings, [EvaluateConfig, *(kind.config_class for kind in kinds.values())])
+    if steps is not None:
+        if "gradient_steps" in settings:
+            raise UsageError("--steps and --set gradient_steps say the same; give one of them.")
+        before = build(EvaluateConfig, profile.evaluate, settings).milestones
+        settings = {"milestones": [*(one for one in before if one < steps), steps]} | settings | {"gradient_steps": steps}
+    loop = build(EvaluateConfig, profile.evaluate, settings)
+    check_milestones(loop)
+    plans = []
+    for name, kind in kinds.items():
+        config = kind.configure(profile_values(profile, loop.gradient_steps), settings)
+        overrides = changed(as_dict(loop, config), plain_values(kind, profile, loop.gradient_steps))
+        plans.append(Plan(name, kind, profile.name, loop, config, overrides))
+    return plans
+
+
+def check_plans(plans: Sequence[Plan], device: str) -> None:
+    """Refuse what cannot be computed on a device.
+
+    Raises:
+        UsageError: one of them asks for it.
+    """
+    for plan in plans:
+        check_precision(plan.kind, plan.algo, plan.loop.precision, device)
+
+
+def check_sizes(sizes: Sequence[int] | None) -> list[int] | None:
+    """Numbers of transitions, ascending without repeats.
+
+    Raises:
+        UsageError: there is none, or one is less than 1.
+    """
+    if sizes is None:
+        return None
+    if not sizes or min(sizes) < 1:
+        raise UsageError("a dataset size is a number of transitions, 1 or more.")
+    return sorted(set(sizes))
+
+
+def sizes_of(sizes: list[int] | None, dataset_id: str, manifest: Manifest) -> list[int | None]:
+    """How many transitions to train on, None for all of them.
+
+    Raises:
+        UsageError: the dataset has fewer.
+    """
+    if sizes is None:
+        return [None]
+    if (largest := max(sizes)) > manifest.steps:
+        raise UsageError(f"'{dataset_id}' has {manifest.steps:,} transitions, not {largest:,}; leave out the larger sizes.")
+    return [None if size == manifest.steps else size for size in sizes]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The labelled datasets that somebody asks for, by method and task or by id; checked, and perhaps not there yet.
+
+    Attributes:
+        domains: of all of them.
+        tasks: None for all, or as each dataset is labelled.
+        methods, seeds: whose, unless ``ids`` are given.
+        ids: task-agnostic or labelled datasets.
+        reward: an own reward function instead of tasks.
+        profile: at which they were collected, or will be.
+    """
+
+    domains: tuple[str, ...]
+    tasks: Sequence[str] | None
+    methods: Sequence[str]
+    seeds: Sequence[int]
+    ids: tuple[str, ...] | None
+    reward: CustomReward | None
+    profile: str
+
+    @classmethod
+    def checked(
+        cls, domain: str, tasks: Sequence[str] | None, methods: Sequence[str], seeds: Sequence[int], dataset_id: str | Sequence[str] | None,
+        reward: str | Callable[[Measured], Any] | None, profile: str,
+    ) -> Wanted:  # fmt: skip
+        """The same as a user asks for it.
+
+        Raises:
+            UsageError: it cannot be.
+        """
+        check_domain(domain)
+        ids = None if dataset_id is None else tuple(dict.fromkeys([dataset_id] if isinstance(dataset_id, str) else dataset_id))
+        if ids == ():
+            raise UsageError("no dataset was named; give an id such as walker/cudc-v0.")
+        # A dataset says itself what it is of.
+        domains = (domain,) if ids is None else tuple(dict.fromkeys(read_manifest(parse_id(one)).domain for one in ids))
+        facts = check_domain(domains[0])
+        custom = None if reward is None else load_reward(reward, facts)
+        if custom is not None and tasks is not None:
+            raise UsageError("--reward makes a task of its own; leave out --tasks.")
+        if custom is not None and len(domains) > 1:
+            raise UsageError(f"--reward takes datasets of one domain at a time, not of {', '.join(domains)}.")
+        if ids is None and custom is None and not check_tasks(facts, tasks):
+            raise UsageError(f"no task was given; allowed: {', '.join(facts.tasks)}.")
+        if not methods:
+            raise UsageError("no method was given; see cudc-bench list.")
+        for method in () if ids else methods:
+            check_collected(method, domain, seeds, profile=profile)
+        return cls(domains, tasks, methods, seeds, ids, custom, profile)
+
+    def ensure(self, device: str, workers: int | None) -> list[str]:
+        """Their ids, after those were made that were missing.
+
+        Raises:
+            UsageError: one that was named is of another profile, or labelled for another task.
+            RunError: making one failed.
+        """
+        if self.ids is None:
+            bases = [
+                one
+                for method in self.methods
+                for one in ensure_collected(method, self.domains[0], self.seeds, profile=self.profile, device=device, workers=workers)
+            ]
+            return [one for base in bases for one in ensure_relabelled(base, self.tasks, self.reward)]
+        found: list[tuple[str, bool]] = []
+        # All are checked before the first is relabelled.
+        for dataset_id in self.ids:
+            manifest = read_manifest(parse_id(dataset_id))
+            check_profile(manifest, dataset_id, self.profile)
+            if manifest.task is not None and self.tasks is not None and manifest.task not in self.tasks:
+                raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(self.tasks)}; leave out --tasks.")
+            found.append((dataset_id, manifest.task is not None))
+        ids = [one for base, labelled in found for one in ([base] if labelled else ensure_relabelled(base, self.tasks, self.reward))]
+        return list(dict.fromkeys(ids))
