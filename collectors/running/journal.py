@@ -60,11 +60,11 @@ class Journal:
         sync(self._path)
         return {"shards": shards, "bytes": file.tell(), "sum": zlib.crc32(self._path.read_bytes())}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to what there was when ``state_dict`` was called.
+    def check(self, state: dict[str, Any]) -> None:
+        """Whether all is there that was there when ``state_dict`` was called.
 
         Raises:
-            UnusableError: some of it is gone or damaged; nothing has changed.
+            UnusableError: some of it is gone or damaged.
         """
         try:
             lines = self._path.read_bytes()[: state["bytes"]]
@@ -72,6 +72,11 @@ class Journal:
             raise UnusableError from None
         if (len(lines), zlib.crc32(lines)) != (state["bytes"], state["sum"]):
             raise UnusableError
+        self._shards.check(state["shards"])
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to what there was when ``state_dict`` was called, after :meth:`check`."""
+        lines = self._path.read_bytes()[: state["bytes"]]
         self._shards.load_state_dict(state["shards"])
         self.close()
         self._file = self._path.open("r+b")

@@ -93,10 +93,14 @@ class EpisodeShards:
         return {"sums": [list(one) for one in self._sums], "infos": list(self._info_names)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to the episodes that had been added when ``state_dict`` was called; those added later are forgotten.
+        """Go back to the episodes that had been added when ``state_dict`` was called; those added later are forgotten."""
+        self._sums, self._info_names, self._pending = [list(one) for one in state["sums"]], list(state["infos"]), []
+
+    def check(self, state: dict[str, Any]) -> None:
+        """Whether these episodes are there.
 
         Raises:
-            UnusableError: a shard is missing, or is not as it was; nothing has changed.
+            UnusableError: a shard is missing, or is not as it was.
         """
         for index, expected in enumerate(state["sums"]):
             try:
@@ -105,7 +109,6 @@ class EpisodeShards:
                 found = []
             if found != expected:
                 raise UnusableError
-        self._sums, self._info_names, self._pending = [list(one) for one in state["sums"]], list(state["infos"]), []
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:06d}.npy"

@@ -53,12 +53,15 @@ class EpisodeStore(Protocol):
     def state_dict(self) -> dict[str, Any]:
         """What is needed to find all that was added so far, which is on the disk when this returns."""
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to what had been added when ``state_dict`` was called.
+    def check(self, state: dict[str, Any]) -> None:
+        """Whether all is there that had been added when ``state_dict`` was called.
 
         Raises:
-            UnusableError: some of it is gone or damaged; nothing has changed.
+            UnusableError: some of it is gone or damaged.
         """
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to what had been added when ``state_dict`` was called, after :meth:`check`."""
 
 
 class Interaction(ABC):
@@ -286,16 +289,12 @@ class Interaction(ABC):
                 self._simulate(past)
             if not np.array_equal(self.observations[:, t], state["observation"].cpu().numpy()):
                 raise UnusableError
-        stores = self.stores()
-        empty = [store.state_dict() for store in stores]
-        try:
-            for store, part in zip(stores, state["stores"], strict=True):
-                store.load_state_dict(part)
-        except UnusableError:
-            # Those before it have gone back already, and would keep what this run is about to do again.
-            for store, part in zip(stores, empty, strict=True):
-                store.load_state_dict(part)
-            raise
+        stored = list(zip(self.stores(), state["stores"], strict=True))
+        # All before the first goes back: it would keep what this run is about to do again if another one cannot.
+        for store, part in stored:
+            store.check(part)
+        for store, part in stored:
+            store.load_state_dict(part)
         self.steps, self.updates, self.metrics = steps, state["updates"], state["metrics"]
         self._learner.load_state_dict(state["learner"])
         self._first_actions.load_state_dict(state["first_actions"])

@@ -200,7 +200,7 @@ def test_any_file_is_read_right_or_refused_in_one_line(own_file, data):
 
 
 def test_a_damaged_file_is_found_before_the_pilot_runs(own_file, monkeypatch):
-    monkeypatch.setattr("cudc_bench.collectors.running.pilot.run_jobs", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cudc_bench.runs.execution.run_jobs", lambda *_, **__: pytest.fail("it ran"))
     own_file.write_text("{")
     with pytest.raises(RunError, match="are damaged"):
         cudc_bench.pilot(["cudc-vary-icm"], profile="smoke")
