@@ -18,13 +18,13 @@ from torch import Tensor
 from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trained, actor, frozen, make_target, noisy_action, soft_update
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .base import Collector, Space
 
 
 @dataclass(frozen=True)
-class DDPGConfig:
+class DDPGConfig(Config):
     """URLB's values for states (Laskin et al. 2021), which the paper prints as common hyperparameters."""
 
     batch_size: PositiveInt = 1024

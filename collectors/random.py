@@ -11,12 +11,13 @@ from torch import Tensor
 
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Config
 
 from .base import Collector, Space
 
 
 @dataclass(frozen=True)
-class RandomConfig:
+class RandomConfig(Config):
     """Nothing to set."""
 
 

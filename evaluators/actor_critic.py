@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, TwinCritic, actor, frozen, make_target, mlp, noisy_action, soft_update, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .base import Evaluator
 
@@ -55,7 +55,7 @@ class OfflineLearner(Learner, Evaluator):
 
 
 @dataclass(frozen=True)
-class ExORLConfig:
+class ExORLConfig(Config):
     """ExORL's values, for all of its algorithms.
 
     Attributes:

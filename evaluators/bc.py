@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from cudc_bench.learning.networks import MemberRandom, actor
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, normal_log_prob
 
 
 @dataclass(frozen=True)
-class BCConfig:
+class BCConfig(Config):
     """ExORL's values.
 
     Attributes:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from cudc_bench.learning.networks import Activation, MemberRandom, mlp, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import ActorCritic, normal_log_prob, regression
 
@@ -22,7 +22,7 @@ LARGEST_MULTIPLIER = 1e6
 
 
 @dataclass(frozen=True)
-class CQLConfig:
+class CQLConfig(Config):
     """ExORL's values.
 
     Attributes:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from cudc_bench.learning.networks import MemberRandom, TwinCritic, make_target, mlp, soft_update
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, labels, normal_log_prob, regression
 
@@ -19,7 +19,7 @@ LOG_STD = (-20.0, 2.0)
 
 
 @dataclass(frozen=True)
-class IQLConfig:
+class IQLConfig(Config):
     """CORL's values for locomotion (Tarasov et al. 2022), which are those of Kostrikov et al.
 
     Attributes:

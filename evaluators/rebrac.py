@@ -20,13 +20,13 @@ from cudc_bench.learning.networks import (
     soft_update,
 )
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .actor_critic import OfflineLearner, labels, regression
 
 
 @dataclass(frozen=True)
-class ReBRACConfig:
+class ReBRACConfig(Config):
     """The authors' values; the two penalties are for exploratory data.
 
     Attributes:

@@ -31,12 +31,13 @@ from cudc_bench.settings.config import (
     field_names,
     parse_settings,
 )
-from cudc_bench.settings.evaluate_config import EvaluateConfig
+from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 from cudc_bench.settings.seeds import format_seeds, parse_seeds
 
 CONFIGS = [
     CollectConfig,
     EvaluateConfig,
+    OnlineConfig,
     *(plugins.load(kind, name).config_class for kind in ("collectors", "evaluators") for name in plugins.names(kind)),
 ]
 NAMES = sorted({name for config in CONFIGS for name in field_names(config)})
@@ -163,6 +164,28 @@ def test_any_single_field_can_be_attacked(config: type, data: st.DataObject) -> 
     changed = {field.name for field in dataclasses.fields(found) if getattr(found, field.name) != getattr(config(), field.name)}
     assert changed <= {name}
     assert build(config, json.loads(json.dumps(as_dict(found), allow_nan=False))) == found
+
+
+@given(st.sampled_from([config for config in CONFIGS if field_names(config)]), st.data())
+def test_in_python_it_is_checked_like_on_the_command_line(config: type, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(field_names(config)))
+    value = data.draw(st.integers() | st.floats() | st.text(max_size=3) | st.none() | st.booleans() | st.lists(st.integers(), max_size=4))
+    try:
+        expected = build(config, {name: value})
+    except UsageError as error:
+        with pytest.raises(UsageError) as caught:
+            config(**{name: value})
+        assert str(caught.value) == str(error)
+    else:
+        assert config(**{name: value}) == expected
+        assert hash(config(**{name: value})) == hash(expected)
+
+
+@pytest.mark.parametrize("config", [config for config in CONFIGS if field_names(config)])
+def test_no_configuration_takes_what_is_no_value_at_all(config: type) -> None:
+    for name in field_names(config):
+        with pytest.raises(UsageError, match=f"'{name}' cannot be"):
+            config(**{name: object()})
 
 
 # ------------------------------------------------------------------------------------------------------------------------ seeds

@@ -20,14 +20,14 @@ from cudc_bench.learning.checks import member_rows
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.interaction import EpisodeStore, Interaction
-from cudc_bench.settings.config import LATER, NonNegativeInt, PositiveInt, Precision
+from cudc_bench.settings.config import LATER, Config, NonNegativeInt, PositiveInt, Precision
 from cudc_bench.settings.profiles import PAPER_STEPS
 
 from ..base import Collector
 
 
 @dataclass(frozen=True)
-class CollectConfig:
+class CollectConfig(Config):
     """How much is collected and how often the method learns (paper, appendix; URLB).
 
     Attributes:

@@ -1,7 +1,8 @@
 """Hyperparameters: frozen dataclasses, checked by name, type and range, and hashed.
 
-A method's configuration is a frozen dataclass beside the method, whose defaults are the paper's. Ranges are written as
-``Annotated[int, Field(ge=1)]``; pydantic checks them. ``--set name=value`` comes through :func:`parse_settings` and :func:`build`.
+A method's configuration is a :class:`Config` beside the method, whose defaults are the paper's. Ranges are written as
+``Annotated[int, Field(ge=1)]``; pydantic checks them, in Python as on the command line, whose ``--set name=value`` comes through
+:func:`parse_settings` and :func:`build`.
 """
 
 from __future__ import annotations
@@ -28,6 +29,29 @@ NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Precision = Literal["float32", "tf32", "bf16"]
+_ADAPTERS: dict[type, dict[str, TypeAdapter[Any]]] = {}  # of configurations that were asked for: to make them takes milliseconds
+
+
+class Config:
+    """Base of the frozen dataclasses that hold hyperparameters: none of their values is of another type or out of range.
+
+    Raises:
+        UsageError: one is; the message names it and what is allowed.
+    """
+
+    def __post_init__(self) -> None:
+        for name, adapter in _adapters(type(self)).items():
+            given = getattr(self, name)
+            value = _checked(name, given, adapter)
+            if value != given:  # a list for a tuple, a string for what it says
+                object.__setattr__(self, name, value)
+
+
+def _adapters(config: type) -> dict[str, TypeAdapter[Any]]:
+    if config not in _ADAPTERS:
+        hints = get_type_hints(config, include_extras=True)
+        _ADAPTERS[config] = {name: TypeAdapter(hints[name]) for name in field_names(config)}
+    return _ADAPTERS[config]
 
 
 def parse_settings(settings: Iterable[str]) -> dict[str, str]:
@@ -78,17 +102,16 @@ def build(config: type[ConfigT], *layers: Mapping[str, Any]) -> ConfigT:
     Raises:
         UsageError: a value is of the wrong type or out of range; the message names it and what is allowed.
     """
-    hints = get_type_hints(config, include_extras=True)
+    adapters = _adapters(config)
     values: dict[str, Any] = {}
     for layer in layers:
         for name, value in layer.items():
-            if name in hints:
-                values[name] = _checked(name, value, hints[name])
+            if name in adapters:
+                values[name] = _checked(name, value, adapters[name])
     return config(**values)
 
 
-def _checked(name: str, value: Any, hint: Any) -> Any:
-    adapter: TypeAdapter[Any] = TypeAdapter(hint)
+def _checked(name: str, value: Any, adapter: TypeAdapter[Any]) -> Any:
     try:
         if isinstance(value, str):
             # A list or tuple is written as JSON on the command line, everything else as it is.

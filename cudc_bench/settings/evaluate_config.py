@@ -9,12 +9,12 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cudc_bench.errors import UsageError
-from cudc_bench.settings.config import LATER, NonNegativeFloat, NonNegativeInt, PositiveInt, Precision, as_dict, build
+from cudc_bench.settings.config import LATER, Config, NonNegativeFloat, NonNegativeInt, PositiveInt, Precision, as_dict, build
 from cudc_bench.settings.profiles import PAPER_STEPS, Profile
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(Config):
     """How long an agent trains and how often it is evaluated (paper and ExORL).
 
     Attributes:
@@ -57,7 +57,7 @@ def in_full(hyperparameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class OnlineConfig:
+class OnlineConfig(Config):
     """How long an agent trains on a task itself, collecting its own data, and how often it is evaluated.
 
     Attributes:
