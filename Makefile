@@ -11,7 +11,7 @@ KILLS ?= 200
 TESTERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast lint format screenshots bench torture mutants wheel-check clean
+.PHONY: help setup demo test test-fast slow lint format screenshots bench torture mutants wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -38,8 +38,12 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 test: setup  ## Run the tests.
 	$(BIN)/pytest -n $(TESTERS) --dist worksteal
 
-test-fast: setup  ## Run the tests that take no whole run of anything: two minutes.
+test-fast: setup  ## Run the tests that take less than half a second each.
 	$(BIN)/pytest -n $(TESTERS) --dist worksteal -m "not slow"
+
+slow: setup  ## Run all tests and note which of them take long, for test-fast.
+	$(BIN)/pytest -n $(TESTERS) --dist worksteal --durations=0 --durations-min=0.05 | tee build/durations.txt | tail -1
+	$(BIN)/python -m tests.slow < build/durations.txt
 
 lint: setup  ## Check style and types.
 	$(BIN)/ruff check .

@@ -15,6 +15,7 @@ import pytest
 
 import cudc_bench
 
+from .slow import slow_tests, without_parameters
 from .waiting import PATIENCE
 
 # Before PyTorch is loaded, here and in the processes that tests start: the tests already share the cores among them, and threads that
@@ -35,20 +36,11 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("cudc_bench")
 
 
-# What `make test-fast` leaves out: modules that run the command line as a process many times, kill, race, simulate whole episodes or train.
-SLOW = {
-    "collectors.test_exorl", "collectors.test_learning", "collectors.test_pilot", "core.test_parallel", "envs.test_suite",
-    "evaluators.test_contract", "evaluators.test_learning", "evaluators.test_online", "evaluators.test_protocol",
-    "evaluators.test_reference", "leaderboard.test_incremental", "leaderboard.test_leaderboard_api", "leaderboard.test_site_browser",
-    "suites.test_cluster", "suites.test_run", "test_all_collectors", "test_bad_input", "test_cli", "test_faults", "test_killing",
-    "test_mutants", "test_own_reward", "test_plugin", "test_suite_chain", "test_verification",
-}  # fmt: skip
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow."""
+    """Mark what took long the last time that somebody looked."""
+    slow = slow_tests()
     for item in items:
-        if isinstance(item, pytest.Function) and item.module.__name__.removeprefix("tests.") in SLOW:
+        if without_parameters(item.nodeid) in slow:
             item.add_marker("slow")
 
 

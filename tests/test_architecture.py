@@ -13,6 +13,8 @@ import pytest
 import cudc_bench
 from cudc_bench import plugins
 
+from .slow import slow_in, slow_tests
+
 ROOT = Path(cudc_bench.__file__).resolve().parent.parent
 STAGES = ("collectors", "relabelers", "evaluators", "leaderboard")
 CORE = sorted((ROOT / "cudc_bench").rglob("*.py"))
@@ -236,3 +238,20 @@ except AttributeError as error:
     print(error)
 """
     assert python(script) == (0, "module 'cudc_bench' has no attribute 'nothing'\n", "")
+
+
+# ----------------------------------------------------------------------------------------------------------------------------- tests
+
+
+def test_the_list_of_slow_tests_is_read_from_what_pytest_prints_and_names_tests_that_exist() -> None:
+    printed = """
+0.30s call     tests/a.py::TestB::test_c[x y]
+0.20s setup    tests/a.py::TestB::test_c[z::[1]]
+0.39s call     tests/a.py::test_d
+2.00s teardown tests/core/e.py::test_f
+3 passed in 3.00s
+"""
+    assert slow_in(printed.splitlines()) == ["tests/a.py::TestB::test_c", "tests/core/e.py::test_f"]
+    for test in slow_tests():
+        path, *_, name = test.split("::")
+        assert f"def {name}(" in (ROOT / path).read_text() or "Contract" in (ROOT / path).read_text(), test
