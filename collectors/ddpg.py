@@ -25,7 +25,19 @@ from .base import Collector, Space
 
 @dataclass(frozen=True)
 class DDPGConfig(Config):
-    """URLB's values for states (Laskin et al. 2021), which the paper prints as common hyperparameters."""
+    """URLB's values for states (Laskin et al. 2021), which the paper prints as common hyperparameters.
+
+    Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
+        discount: γ.
+        critic_tau: rate at which the slow copies of the critics follow them.
+        noise_std: of the Gaussian noise around the actor's actions, while it collects and in updates.
+        noise_clip: bound of that noise in updates.
+        horizon: k, the steps between s and s' in a minibatch; CUDC's is the one to start from.
+        td_discount: of the critic's target, γ^k or γ.
+    """
 
     batch_size: PositiveInt = 1024
     width: PositiveInt = 1024

@@ -59,6 +59,11 @@ class ExORLConfig(Config):
     """ExORL's values, for all of its algorithms.
 
     Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
+        discount: γ.
+        critic_tau: rate at which the slow copies of the critics follow them.
         noise_std: of the policy around its mean, in training.
         noise_clip: bound of that noise.
     """

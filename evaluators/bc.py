@@ -20,6 +20,9 @@ class BCConfig(Config):
     """ExORL's values.
 
     Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
         noise_std: of the policy, whose likelihood is maximised.
     """
 

@@ -26,9 +26,15 @@ class CQLConfig(Config):
     """ExORL's values.
 
     Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
+        discount: γ.
+        critic_tau: rate at which the slow copies of the critics follow them.
         penalty_weight: of the penalty on the values of actions that are not in the data.
         penalty_samples: how many uniform actions, actions of π(s) and of π(s') enter the penalty.
         lagrange: tune the weight, starting at 1, so that the penalty comes to ``penalty_target``.
+        penalty_target: what the penalty is then to come to.
         squash_twice: whether the mean goes through tanh before the action does, which bounds mean actions to ±tanh 1 = ±0.76.
         sum_log_prob: add log π over the dimensions of an action, as the target entropy -A asks for, instead of treating each dimension
             as a sample.

@@ -23,6 +23,7 @@ class CRRConfig(ExORLConfig):
     Attributes:
         value_samples: actions of the policy that estimate a state's value.
         weight: of a data action, as a function of its advantage A: 1 where A > 0, exp(A) up to ``largest_weight``, or A itself.
+        largest_weight: bound of exp(A).
     """
 
     noise_std: PositiveFloat = 0.2

@@ -23,6 +23,11 @@ class IQLConfig(Config):
     """CORL's values for locomotion (Tarasov et al. 2022), which are those of Kostrikov et al.
 
     Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
+        discount: γ.
+        critic_tau: rate at which the slow copies of the critics follow them.
         expectile: of Q that V estimates; 0.5 is the mean.
         beta: how much better actions count more when cloning.
         largest_weight: of exp(β A).

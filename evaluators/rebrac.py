@@ -30,6 +30,11 @@ class ReBRACConfig(Config):
     """The authors' values; the two penalties are for exploratory data.
 
     Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers.
+        learning_rate: of every Adam optimiser.
+        discount: γ.
+        critic_tau: rate at which the slow copies of actor and critics follow them.
         hidden_layers: of actor and critics.
         actor_penalty: weight of the squared distance to the data's action in the actor's loss, against a value of mean size 1.
         critic_penalty: the same of the next action, in the critics' target. The authors tune both for each dataset, from 0.001 to 0.1;

@@ -29,7 +29,12 @@ _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class Base(BaseModel):
-    """The task-agnostic dataset that a relabelled one was made from."""
+    """The task-agnostic dataset that a relabelled one was made from.
+
+    Attributes:
+        id, fingerprint: of that dataset.
+        linked: whether arrays are links to that dataset's file; copies otherwise.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -99,7 +104,8 @@ class Pilot(BaseModel):
         name, value: of the hyperparameter.
         method, domain, profile, overrides: what was run.
         key: hash of the settings for which the value holds; the length of the run and what has no effect in a pilot are left out.
-        quantile: the value is this quantile of the medians of the minibatches of ``updates`` updates.
+        quantile: the value is this quantile of the medians of the minibatches.
+        updates: how many minibatches there were.
         seed, first_step, last_step: of the run, and the environment steps between which these updates happened.
         versions, commit, dirty, machine, seconds, created, command: provenance.
     """

@@ -70,7 +70,12 @@ class DatasetReference(Strict):
 
 
 class Evaluation(Strict):
-    """Undiscounted returns of the episodes of one evaluation after so many gradient steps."""
+    """Undiscounted returns of the episodes of one evaluation after so many gradient steps.
+
+    Attributes:
+        step: how many gradient steps; of a reference, environment steps.
+        returns: one for each episode, in their order.
+    """
 
     step: Annotated[int, Field(ge=0)]
     returns: Annotated[list[Finite], Field(min_length=1)]
@@ -82,7 +87,12 @@ class Evaluation(Strict):
 
 
 class TrainingMetrics(Strict):
-    """Losses and values of the minibatch after so many gradient steps."""
+    """Losses and values of the minibatch after so many gradient steps.
+
+    Attributes:
+        step: how many.
+        values: each metric by its name.
+    """
 
     step: Annotated[int, Field(ge=0)]
     values: dict[str, Finite]
@@ -133,7 +143,8 @@ class Record(Strict):
         metrics: training metrics at the evaluations.
         seconds: wall time of the whole member's run.
         versions: of Python and the packages that matter.
-        commit: of this project's code, ``None`` when it is not run from a checkout; ``dirty`` if it had local changes.
+        commit: of this project's code, ``None`` when it is not run from a checkout.
+        dirty: whether it had local changes.
         machine: processor, threads, device.
         command: makes this record again.
         created: UTC time, ISO 8601.

@@ -92,7 +92,8 @@ class Reference(Strict):
         runs: one for each seed.
         seconds: wall time of all runs together.
         versions: of Python and the packages that matter.
-        commit: of this project's code, ``None`` when it is not run from a checkout; ``dirty`` if it had local changes.
+        commit: of this project's code, ``None`` when it is not run from a checkout.
+        dirty: whether it had local changes.
         machine: processor, threads, device.
         command: makes this reference again.
         created: UTC time, ISO 8601.
