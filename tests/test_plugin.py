@@ -1,4 +1,4 @@
-"""The example package in an environment of its own, as a third party installs it: pip, the command line, the data, the battery."""
+"""The example packages in an environment of their own, as third parties install them: pip, the command line, the data, the batteries."""
 
 from __future__ import annotations
 
@@ -15,30 +15,33 @@ import pytest
 import cudc_bench
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
 
 from .waiting import PATIENCE
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "plugin"
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+PACKAGES = {"plugin": "test_re3.py", "learner": "test_awac.py"}  # each with its tests
 SITES = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a copy of the example, and an environment that has it installed beside everything that runs these tests.
+    """A folder with copies of the examples, and an environment that has them installed beside everything that runs these tests.
 
     PyTorch and the rest are not installed anew, which would take minutes and a network: the new environment sees the running one's
     packages through a .pth file. One of ``--system-site-packages`` would see those of the interpreter under both.
     """
     folder = tmp_path_factory.mktemp("plugin")
     # Without what may lie about from other tools: a build happens in place.
-    shutil.copytree(EXAMPLE, folder / "plugin", ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
+    for name in PACKAGES:
+        shutil.copytree(EXAMPLES / name, folder / name, ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
     venv.create(folder / "venv", symlinks=True)
     base = {"base": str(folder / "venv"), "platbase": str(folder / "venv")}
     # addsitedir, unlike a plain path, also runs the .pth files there, which an editable installation consists of.
     lines = "".join(f"import site; site.addsitedir({path!r})\n" for path in SITES)
     Path(sysconfig.get_path("purelib", "venv", base), "running.pth").write_text(lines)
     offline = ("--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--no-index")
-    command = [interpreter(folder), "-m", "pip", "install", *offline, folder / "plugin"]
+    command = [interpreter(folder), "-m", "pip", "install", *offline, *(folder / name for name in PACKAGES)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     return folder
@@ -79,6 +82,13 @@ def test_its_settings_are_checked_like_our_own(place: Path, cli: Callable, datas
     assert not datasets.exists()
 
 
+def test_an_installed_algorithm_trains_on_the_data_of_any_method(place: Path, cli: Callable, smoke: Path, tmp_path: Path) -> None:
+    done = cli("evaluate", "--algo", "awac", "--task", "walk", interpreter=interpreter(place))
+    assert done.code == 0, done.err
+    record = read_record(tmp_path / "results/smoke/walker/walk/cudc-v0/awac-seed1.json")
+    assert (record.algorithm, record.hyperparameters["temperature"]) == ("awac", 1.0)
+
+
 def test_a_name_that_two_packages_register_is_refused(cli: Callable, datasets: Path, tmp_path: Path) -> None:
     rival = tmp_path / "rival" / "rival-1.0.dist-info"
     rival.mkdir(parents=True)
@@ -92,11 +102,12 @@ def test_a_name_that_two_packages_register_is_refused(cli: Callable, datasets: P
     assert not datasets.exists()
 
 
-def test_the_battery_and_its_own_tests_pass(place: Path, environment: dict[str, str]) -> None:
-    command = [interpreter(place), "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_re3.py"]
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_battery_and_its_own_tests_pass(package: str, place: Path, environment: dict[str, str]) -> None:
+    command = [interpreter(place), "-m", "pytest", "-q", "-p", "no:cacheprovider", PACKAGES[package]]
     # Beside other tests, threads that wait for each other's share of a core take ten times as long.
     alone = environment | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, cwd=place / "plugin", env=alone, capture_output=True, text=True, timeout=PATIENCE)
+    done = subprocess.run(command, cwd=place / package, env=alone, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "passed" in done.stdout
     assert "skipped" not in done.stdout
