@@ -11,7 +11,7 @@ KILLS ?= 200
 TESTERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast slow lint format screenshots bench torture mutants wheel-check clean
+.PHONY: help setup demo test test-fast slow lint format screenshots bench torture mutants docs wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -67,6 +67,14 @@ torture: setup  ## Kill real runs 200 times and compare what comes out: about te
 
 mutants: setup  ## Change formulas in copies of the package, and say which changes their tests notice.
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,docs]'
+	@touch $@
+
+docs: $(VENV)/.docs  ## Build the documentation: build/docs/index.html. Warnings are errors; nothing is asked of the network.
+	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -d build/doctrees docs build/docs
+	@echo "documentation   build/docs/index.html"
 
 wheel-check: setup  ## Build the wheel, install it into an empty environment elsewhere, run the three calls there.
 	BIN=$(CURDIR)/$(BIN) ./.ci/wheel-check

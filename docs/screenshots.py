@@ -7,6 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 from playwright.sync_api import sync_playwright
 
@@ -27,7 +28,11 @@ def main(records: str, output: str) -> None:
         table = next((one for one in report.tables if one.group == "paper"), report.tables[0])
         task = next(row.task for row in table.sections[-1].rows if any(row.cells))
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
-        for name, page, mode in (("overview", "index.html", "light"), ("task", f"{table.slug}/task-{task}.html", "dark")):
+        pages: tuple[tuple[str, str, Literal["light", "dark"]], ...] = (
+            ("overview", "index.html", "light"),
+            ("task", f"{table.slug}/task-{task}.html", "dark"),
+        )
+        for name, page, mode in pages:
             context = browser.new_context(
                 viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=2, color_scheme=mode, offline=True
             )  # fmt: skip

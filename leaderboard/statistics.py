@@ -10,9 +10,9 @@ freedom over several groups; Newcombe 2006, "Confidence intervals for an effect 
 The unit of replication is the dataset. All tasks of a domain are labelled from the same dataset, so that their scores rise and fall with
 it: a method has a group of independent datasets for each domain, each with all of its domain's tasks. Intervals are Student's around the
 jackknife, which leaves out one dataset at a time. Percentiles of a bootstrap over few datasets hold the truth less often than they say:
-docs/statistics.md has both. rliable's *stratified* bootstrap draws the runs of each task by themselves, as though every task had datasets
-of its own; where the tasks of a dataset go together its intervals are too narrow. It is computed for comparison with other papers' numbers
-only.
+docs/explanation/statistics.md has both. rliable's *stratified* bootstrap draws the runs of each task by themselves, as though every task
+had datasets of its own; where the tasks of a dataset go together its intervals are too narrow. It is computed for comparison with other
+papers' numbers only.
 
 Scores are one array (n, T) for each domain: n datasets by the domain's T tasks. Domains may have different n.
 """

@@ -1,55 +1,220 @@
-"""The code in the documents runs."""
+"""The code in the documents fits the code of the project: commands parse, imports resolve, files that are shown are as they are.
 
+What takes longer, running it, is in ``test_tutorials.py``.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
 import re
-import subprocess
-import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
-from .waiting import PATIENCE
+from cudc_bench import plugins
+from cudc_bench.cli.app import build_app
+from cudc_bench.envs import check_domain
+from cudc_bench.errors import CudcBenchError
+from cudc_bench.settings.config import check_settings, parse_settings
+from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
+from cudc_bench.settings.profiles import PROFILES
+from cudc_bench.settings.seeds import parse_seeds
+from cudc_bench.suites.definition import load_suite, suite_names
 
-ROOT = Path(__file__).resolve().parent.parent
+from .documents import PAGES, ROOT, blocks, commands, spans
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+# What a page may import that the tests' environment lacks: extras, and a library that is no part of any.
+OPTIONAL = {"d3rlpy", "torchrl", "jax"}
+# Programs that are not ours, whose arguments nothing here can check, and why they are not run.
+UNCHECKED = {
+    "#!/bin/bash": "begins a script of Slurm",
+    "#SBATCH": "an option of Slurm, which needs a cluster",
+    "head=$(scontrol": "needs a cluster of Slurm",
+    "srun": "needs a cluster of Slurm",
+    "ray": "needs a cluster, or starts one; tests/suites/test_cluster.py runs a suite on one",
+    "source": "changes the shell that it is given to",
+}  # fmt: skip
+# Names that stand for somebody's own, and where they come from.
+PLACEHOLDERS = {"re3": "examples/plugin", "awac": "examples/learner", "my_rewards:hop": "docs/tutorials/own-reward.md", "all": "every one"}
+_CLICK: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
-def blocks(name, language="python"):
-    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", (ROOT / name).read_text(), re.DOTALL | re.MULTILINE)
-    return [re.sub(rf"^{indent}", "", code, flags=re.MULTILINE) for indent, code in found]
+def known(kind: str, names: str) -> None:
+    for name in names.split(","):
+        if name not in PLACEHOLDERS:
+            plugins.check_name(kind, name)
 
 
-def test_the_readmes_python_runs_as_a_program(tmp_path):
-    (code,) = [code for code in blocks("README.md") if "__main__" in code]
-    program = tmp_path / "program.py"
-    program.write_text(code)
-    done = subprocess.run([sys.executable, program], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("(3000, 24) (3000, 6) 0.0")
-    assert len(list((tmp_path / "results").rglob("*.json"))) == 1
+def check_command(words: list[str]) -> None:
+    """Refuse a command line of ours that the command line would refuse before it looks at any file."""
+    group: Any = typer.main.get_command(build_app())
+    if words[1] == "COMMAND":
+        return
+    name, *arguments = [word for word in words[1:] if word not in {"--debug", "…"}] or ["--help"]
+    if name in {"--help", "--version"}:
+        return
+    assert name in group.commands, f"there is no command {name}"
+    if "--help" in arguments:
+        return
+    values = group.commands[name].make_context(name, [*arguments]).params
+    if values.get("method"):
+        known("collectors", values["method"])
+    if values.get("methods"):
+        known("collectors", values["methods"])
+    for algo in ("algo", "algos"):
+        if values.get(algo):
+            known("evaluators", values[algo])
+    if values.get("profile"):
+        assert values["profile"] in {*PROFILES, "auto"}
+    if values.get("seeds"):
+        parse_seeds(values["seeds"])
+    if values.get("suite") and not values["suite"].endswith(".toml"):
+        assert values["suite"] in {*suite_names(), "SUITE"}
+    # One name stands for one in every command, but ``run`` narrows to domains that its suite has.
+    domain = values.get("domain")
+    tasks = check_domain(domain).tasks if domain and "," not in domain and name != "run" else None
+    for task in (values.get("tasks") or "all").split(","):
+        assert task == "all" or tasks is None or task in tasks, f"{domain} has no task {task}"
+    if values.get("settings") and values["settings"] != ["name=value"]:
+        kinds = [plugins.load(kind, one).config_class for kind in ("collectors", "evaluators") for one in plugins.names(kind)]
+        loop = importlib.import_module(plugins.target("stages", "collect")[0].rsplit(".", 1)[0] + ".loop").CollectConfig
+        check_settings(parse_settings(values["settings"]), [*kinds, EvaluateConfig, OnlineConfig, loop])
 
 
-def test_the_readme_shows_the_example_package_as_it_is():
-    named = [code.split("\n", 1) for language in ("python", "toml") for code in blocks("README.md", language)]
+def check_other(words: list[str]) -> None:
+    """Refuse a command of another program that names what is not here."""
+    program, *arguments = words
+    if program in UNCHECKED:
+        return
+    if program == "make":
+        assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(), re.MULTILINE), f"there is no target {arguments[0]}"
+    elif program in {"pip", "pytest", "python", ".ci/run"}:
+        for extra in re.findall(r"cudc-bench\[(\w+)\]", " ".join(arguments)):
+            assert extra in PROJECT["optional-dependencies"]
+        if "-c" in arguments and program == "python":
+            compile(arguments[1], "the command line", "exec")
+        else:
+            paths = [ROOT / one for one in [program, *arguments] if "/" in one and not one.startswith(("walker/", "-"))]
+            assert all(path.exists() for path in paths), paths
+    else:
+        assert words[:3] == ["python3", "-m", "venv"], f"nobody knows {program}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_a_page_would_be_accepted(page: str) -> None:
+    problems = []
+    # In a sentence the name alone stands for the command, whatever that needs.
+    said = [(0, words if len(words) > 2 else [*words, "--help"]) for words in spans(page)]
+    for line, words in [*commands(page), *said]:
+        try:
+            (check_command if words[0] == "cudc-bench" else check_other)(words)
+        except (AssertionError, CudcBenchError, _CLICK) as error:
+            problems.append(f"{page}:{line}: {' '.join(words)}: {getattr(error, 'message', error) or type(error).__name__}")
+    assert not problems
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_python_block_of_a_page_compiles_and_finds_what_it_imports(page: str) -> None:
+    for one in blocks(page, "python"):
+        for node in ast.walk(ast.parse(one.code, str(one))):
+            if isinstance(node, ast.Import):
+                modules = {alias.name: [] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                modules = {str(node.module): [alias.name for alias in node.names]}
+            else:
+                modules = {}
+            for name, members in modules.items():
+                if name.split(".")[0] in OPTIONAL and importlib.util.find_spec(name.split(".")[0]) is None:
+                    continue
+                module = importlib.import_module(name)
+                missing = [member for member in members if member != "annotations" and not hasattr(module, member)]
+                assert not missing, (str(one), missing)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "cudc_bench":
+                assert hasattr(importlib.import_module("cudc_bench"), node.attr), (str(one), node.attr)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_toml_block_of_a_page_parses_and_suites_load(page: str, tmp_path: Path) -> None:
+    for one in blocks(page, "toml"):
+        if {"methods", "suites"} & set(tomllib.loads(one.code)):
+            (tmp_path / "own.toml").write_text(one.code)
+            assert load_suite(str(tmp_path / "own.toml")).studies
+
+
+def test_every_block_has_a_language_that_is_checked() -> None:
+    languages = {one.language for page in PAGES for one in blocks(page)}
+    assert languages <= {"", "bash", "text", "python", "toml"}
+
+
+@pytest.mark.parametrize(
+    ("page", "package", "files"),
+    [
+        ("docs/tutorials/own-method.md", "plugin", ("cudc_bench_re3.py", "pyproject.toml", "test_re3.py")),
+        ("docs/tutorials/own-learner.md", "learner", ("cudc_bench_awac.py", "pyproject.toml", "test_awac.py")),
+    ],
+)  # fmt: skip
+def test_a_tutorial_shows_its_example_package_as_it_is(page: str, package: str, files: tuple[str, ...]) -> None:
+    named = [one.code.split("\n", 1) for one in blocks(page, "python", "toml")]
     shown = {first.removeprefix("# "): code for first, code in named if first.startswith("# examples/")}
-    assert set(shown) == {f"examples/plugin/{name}" for name in ("cudc_bench_re3.py", "pyproject.toml", "test_re3.py")}
+    assert set(shown) == {f"examples/{package}/{name}" for name in files}
     for path, code in shown.items():
         # Of the tests only the part that every package needs is shown.
         whole = (ROOT / path).read_text()
-        assert code in whole if path.endswith("test_re3.py") else code == whole, path
+        assert code in whole if Path(path).name.startswith("test_") else code == whole, path
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "benchmarks/README.md"])
-def test_links_and_paths_of_the_documents_exist(name):
-    text = (ROOT / name).read_text()
-    links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
-    paths = re.findall(r"`((?:cudc_bench|collectors|relabelers|evaluators|leaderboard|benchmarks|tests|docs|examples)/[\w/.]*)`", text)
-    assert links + paths
-    missing = [link for link in links if not ((ROOT / name).parent / link).exists()] + [p for p in paths if not (ROOT / p).exists()]
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_paths_of_a_page_exist(page: str) -> None:
+    text = (ROOT / page).read_text()
+    links = [link for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) if "://" not in link]
+    folders = "cudc_bench|collectors|relabelers|evaluators|leaderboard|benchmarks|tests|docs|examples|studies"
+    paths = re.findall(rf"`((?:{folders})/[\w/.-]*)`", text)
+    missing = [link for link in links if not ((ROOT / page).parent / link).exists()] + [p for p in paths if not (ROOT / p).exists()]
     assert not missing
 
 
-def test_every_test_that_a_promise_names_exists():
-    named = re.findall(r"`([a-z_/]+\.py)::(test_[a-z_]+)`", (ROOT / "docs" / "trust.md").read_text())
-    rows = [line for line in (ROOT / "docs" / "trust.md").read_text().splitlines() if line.startswith("| ") and "---" not in line]
+def test_the_readme_is_a_page() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    index = (ROOT / "docs" / "index.md").read_text()
+    listed = {
+        f"docs/{line}.md" for found in re.findall(r"```\{toctree\}\n(.*?)```", index, re.DOTALL) for line in found.split() if line[0] != ":"
+    }
+    assert {page for page in PAGES if page.startswith("docs/")} - {"docs/index.md"} <= listed
+
+
+def test_every_method_is_in_the_reference() -> None:
+    text = (ROOT / "docs" / "reference" / "methods.md").read_text()
+    registered = [(kind, name) for kind in ("collectors", "evaluators") for name in plugins.names(kind)]
+    ours = [name for kind, name in registered if plugins.target(kind, name)[0].startswith("cudc_bench.")]
+    # The bounds of k are given as a range.
+    assert [name for name in ours if f"`{name}`" not in text and "kmax" not in name] == []
+
+
+def test_every_environment_variable_is_in_the_reference() -> None:
+    page = (ROOT / "docs" / "reference" / "environment.md").read_text()
+    found: set[str] = set()
+    for folder in ("cudc_bench", "collectors", "relabelers", "evaluators", "leaderboard"):
+        for path in (ROOT / folder).rglob("*.py"):
+            text = path.read_text()
+            found |= set(re.findall(r"environ(?:\.get\(|\.setdefault\(|\[)\"(\w+)\"", text)) | set(re.findall(r"envvar=\"(\w+)\"", text))
+            found |= set(re.findall(r"\"(CUDC_BENCH_[A-Z]+)\"", text))
+    assert {"MINARI_DATASETS_PATH", "CUDC_BENCH_PROFILE", "CUDC_BENCH_THRESHOLDS", "MUJOCO_GL"} <= found
+    assert [name for name in sorted(found) if f"`{name}`" not in page] == []
+
+
+def test_every_test_that_a_promise_names_exists() -> None:
+    promises = (ROOT / "docs" / "explanation" / "trust.md").read_text()
+    named = re.findall(r"`([a-z_/]+\.py)::(test_[a-z_]+)`", promises)
+    rows = [line for line in promises.splitlines() if line.startswith("| ") and "---" not in line]
     assert sum("::test_" in row for row in rows) == len(rows) - 7  # the heads of the tables
     for path, test in named:
         assert f"def {test}(" in (ROOT / path).read_text(), (path, test)

@@ -281,11 +281,15 @@ def test_the_example_trains_and_plays(script: str, smoke: Path, environment: dic
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_readmes_exports_run(make_dataset: Callable, make_episodes: Callable) -> None:
+def test_the_documents_exports_run(make_dataset: Callable, make_episodes: Callable) -> None:
     pytest.importorskip("d3rlpy")
     pytest.importorskip("torchrl")
     make_dataset("walker/walk/cudc-v0", make_episodes(LENGTHS), task="walk")
-    (code,) = [code for code in re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL) if "to_d3rlpy" in code]
+    (code,) = [
+        code
+        for code in re.findall(r"```python\n(.*?)```", (ROOT / "docs/tutorials/read-data.md").read_text(), re.DOTALL)
+        if "to_d3rlpy" in code
+    ]
     names: dict[str, Any] = {}
     exec(code, names)
     assert names["tensors"].observations.shape == (sum(LENGTHS), 24)

@@ -20,7 +20,7 @@ RNG = np.random.default_rng(7)
 SCORES = RNG.random((5, 12))
 BLOCKS = [SCORES[:, :4], SCORES[:, 4:8], SCORES[:, 8:]]
 RAGGED = [RNG.random((5, 4)), RNG.random((3, 3)), RNG.random((4, 4))]
-REPEATS = int(os.environ.get("REPEATS", "500"))  # of the simulations below; docs/statistics.md has more
+REPEATS = int(os.environ.get("REPEATS", "500"))  # of the simulations below; docs/explanation/statistics.md has more
 matrices = hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.integers(1, 5)), elements=st.integers(0, 8).map(lambda n: n / 8))
 
 

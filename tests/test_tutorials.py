@@ -1,0 +1,163 @@
+"""What the documents tell people to run runs, at the smoke profile, and leaves what they say."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import cudc_bench
+from cudc_bench.envs.drawing import probe
+
+from .documents import PAGES, ROOT, block, blocks, commands
+from .waiting import PATIENCE
+
+FIRST, LEARNER, METHOD = (f"docs/tutorials/{name}.md" for name in ("first-number", "own-learner", "own-method"))
+REWARD, DOMAIN, DATA = (f"docs/tutorials/{name}.md" for name in ("own-reward", "own-domain", "read-data"))
+POLICIES = "docs/how-to/policies.md"
+pytestmark = pytest.mark.slow
+# Every block of Python in the documents, by a text that it alone contains, and what runs it.
+RUN = {
+    ("README.md", "__main__"): "test_the_readmes_program",
+    (FIRST, "total_steps"): "test_a_first_number",
+    (FIRST, "read_record"): "test_a_first_number",
+    (FIRST, "__main__"): "test_a_first_number_from_python",
+    (REWARD, "def hop"): "test_own_rewards",
+    (REWARD, "def careful"): "test_own_rewards",
+    (DOMAIN, "__main__"): "test_another_domain",
+    (DATA, "import minari"): "test_minari_reads",
+    (DATA, "to_d3rlpy"): "tests/data/test_exports.py::test_the_documents_exports_run",
+    (DATA, "import jax"): "test_jax_trains",
+    (POLICIES, "torch.export.load"): "test_policies_leave",
+    (POLICIES, "render_policy"): "test_policies_leave",
+    (METHOD, "class RE3("): "tests/test_plugin.py",
+    (METHOD, "class TestRE3"): "tests/test_plugin.py",
+    (LEARNER, "class AWAC("): "tests/test_plugin.py",
+    (LEARNER, "class TestAWAC"): "tests/test_plugin.py",
+}
+
+
+@pytest.fixture
+def run(environment: dict[str, str], tmp_path: Path) -> Callable[..., str]:
+    """Runs a program's text as a file in ``tmp_path``, and returns what it printed."""
+
+    def done(code: str) -> str:
+        (tmp_path / "program.py").write_text(code)
+        command = [sys.executable, "program.py"]
+        found = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
+        assert found.returncode == 0, found.stderr
+        return found.stdout
+
+    return done
+
+
+@pytest.fixture
+def follow(cli: Callable) -> Callable[[str], list[str]]:
+    """Gives all commands of ours in a page, in their order, at the smoke profile; returns what they printed."""
+
+    def done(page: str) -> list[str]:
+        printed = []
+        for line, words in commands(page):
+            if words[0] == "cudc-bench":
+                found = cli(*["smoke" if word == "demo" else word for word in words[1:]])
+                assert found.code == 0, (page, line, words, found.err)
+                printed.append(found.out)
+        return printed
+
+    return done
+
+
+def test_every_block_of_python_is_run_somewhere() -> None:
+    everywhere = [(one.page, one.code) for page in PAGES for one in blocks(page, "python")]
+    for page, code in everywhere:
+        assert sum(where == page and text in code for where, text in RUN) == 1, f"of {page} nobody runs:\n{code}"
+    assert len(everywhere) == len(RUN)
+    for test in RUN.values():
+        path, _, name = test.rpartition("::") if "::" in test else ("", "", test)
+        assert (ROOT / test).exists() if test.endswith(".py") else f"def {name}" in (ROOT / path if path else Path(__file__)).read_text()
+
+
+def test_the_readmes_program(run: Callable[..., str], tmp_path: Path) -> None:
+    assert run(block("README.md", "__main__")).startswith("(3000, 24) (3000, 6) 0.0")
+    assert len(list((tmp_path / "results").rglob("*.json"))) == 1
+
+
+def test_a_first_number(follow: Callable[[str], list[str]], run: Callable[..., str], tmp_path: Path) -> None:
+    printed = follow(FIRST)
+    assert "random" in printed[-1]
+    assert (tmp_path / "report" / "index.html").exists()
+    assert run(block(FIRST, "total_steps")).splitlines() == ["3000 3", "(1001, 24) (1000, 6)"]
+    record = json.loads((tmp_path / "results/smoke/walker/walk/cudc-v0/td3-seed1.json").read_text())
+    shown = float(run(block(FIRST, "read_record").replace("results/demo", "results/smoke")))
+    returns = [value for one in [*record["late"], record["final"]] for value in one["returns"]]
+    assert shown == pytest.approx(sum(returns) / len(returns))
+
+
+def test_a_first_number_from_python(run: Callable[..., str]) -> None:
+    assert run(block(FIRST, "__main__")).startswith("(3000, 24) (3000, 6) 0.0")
+
+
+def test_own_rewards(follow: Callable[[str], list[str]], cli: Callable, tmp_path: Path) -> None:
+    (tmp_path / "my_rewards.py").write_text(block(REWARD, "def hop") + block(REWARD, "def careful"))
+    follow(REWARD)
+    assert (tmp_path / "results/smoke/walker/hop/cudc-v0/td3-seed1.json").exists()
+    done = cli("relabel", "walker/cudc-v0", "--reward", "my_rewards:careful")
+    assert done.code == 0, done.err
+
+
+def test_another_domain(follow: Callable[[str], list[str]], run: Callable[..., str]) -> None:
+    follow(DOMAIN)
+    assert "dm_control/cheetah_run/run/random-v0" in run(block(DOMAIN, "__main__"))
+
+
+def test_minari_reads(run: Callable[..., str], smoke: Path) -> None:
+    assert run(block(DATA, "import minari")).startswith("(1001, 24) (1000, 6) ")
+
+
+def test_jax_trains(run: Callable[..., str], smoke: Path) -> None:
+    if importlib.util.find_spec("jax") is None:
+        pytest.skip("JAX is not installed")
+    assert 0 < float(run(block(DATA, "import jax"))) < 1
+
+
+def test_policies_leave(cli: Callable, run: Callable[..., str], smoke: Path, tmp_path: Path) -> None:
+    assert cli("evaluate", "--algo", "td3", "--task", "walk").code == 0
+    folder = tmp_path / "results/smoke/walker/walk/cudc-v0"
+    code = block(POLICIES, "render_policy").replace("results/cpu", "results/smoke")
+    if probe() is None:
+        code = re.sub(r".*render_policy.*\n", "", code)
+    given = "import numpy as np\n\nobservation = np.zeros((2, 24), np.float32)\n"
+    assert run(f"{given}{code}print(action.shape)").strip() == "(2, 6)"
+    assert probe() is None or (tmp_path / "walk.gif").exists()
+    shutil.copy(folder / "td3-seed1.pt2", tmp_path)
+    given = "import torch\n\nobservation = torch.zeros(2, 24)\n"
+    assert run(f"{given}{block(POLICIES, 'torch.export.load')}print(tuple(action.shape))").strip() == "(2, 6)"
+
+
+@pytest.mark.parametrize("page", [f"docs/how-to/{name}.md" for name in ("diagnostics", "leaderboard", "verify")])
+def test_what_looks_at_results_looks(page: str, cli: Callable, follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path) -> None:
+    assert cli("evaluate", "--algo", "td3", "--task", "walk").code == 0
+    follow(page)
+    assert page.endswith("verify.md") or list((tmp_path / "report").iterdir())
+
+
+def test_what_is_published_stands_by_itself(cli: Callable, smoke: Path) -> None:
+    ours = [words[1:] for _, words in commands("docs/how-to/publish.md") if words[0] == "cudc-bench"]
+    for words in ours[:2]:
+        assert (done := cli(*words)).code == 0, done.err
+    shutil.rmtree(smoke / "walker" / "cudc-v0")
+    assert cudc_bench.load_transitions("walker/walk/cudc-v0", verify=True).rewards.shape == (3000,)
+
+
+def test_a_suite_of_ones_own_is_planned(cli: Callable, tmp_path: Path) -> None:
+    (code,) = [one.code for one in blocks("docs/how-to/studies.md", "toml")]
+    (tmp_path / "my.toml").write_text(code)
+    for words in (["run", "my.toml", "--dry-run"], ["run", "main", "--dry-run"]):
+        assert (done := cli(*words)).code == 0, done.err
