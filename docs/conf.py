@@ -27,6 +27,7 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
 # A command's prompt and comments are not copied with it.
 copybutton_prompt_text = "$ "
 # Tables of commands are no languages.

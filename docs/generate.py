@@ -25,7 +25,7 @@ from cudc_bench.settings.profiles import PROFILES
 
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 _LARGEST = 10**10  # of a whole number: beyond any run (see ``cudc_bench.settings.config``)
-_WORDS = {"integer": "whole number", "number": "number", "string": "text", "boolean": "true or false"}
+_WORDS = {"integer": "integer", "number": "float", "string": "string", "boolean": "boolean"}
 Rows = Iterable[Sequence[str]]
 
 
@@ -99,7 +99,7 @@ def described(hint: Any) -> tuple[str, str]:
 def _described(schema: Mapping[str, Any]) -> tuple[str, str]:
     if "enum" in schema or "const" in schema:
         values = schema.get("enum", [schema.get("const")])
-        return "choice", ", ".join(f"`{value}`" for value in values)
+        return "choice", ", ".join(f"`{value}`" if value != "" else "empty" for value in values)
     if "anyOf" in schema:
         parts = [_described(one) for one in schema["anyOf"] if one.get("type") != "null"]
         optional = " or none" if len(parts) < len(schema["anyOf"]) else ""
@@ -283,9 +283,9 @@ def _reference(found: Mapping[str, Any]) -> tuple[str, str]:
     if found.get("type") == "object":
         values = found.get("additionalProperties")
         kind = _reference(values)[0] if isinstance(values, Mapping) and values else "any"
-        return f"mapping of text to {kind}", ""
+        return f"mapping of string to {kind}", ""
     if "pattern" in found:
-        return "text", f"Fits `{found['pattern']}`"
+        return "string", f"Fits `{found['pattern']}`"
     kind, limits = _described(found)
     return kind, limits if kind == "choice" else limits and f"Allowed: {limits}"
 
@@ -334,7 +334,7 @@ def _command(title: str, usage: str, function: Any) -> str:
             default = "needed" if needed else "" if parameter.default in (None, False) else default_text(parameter.default)
             # Inside of an annotation the first name stands where the default would.
             spelled = _listed([str(one) for one in (information.default, *(information.param_decls or ()))])
-            what = "" if kind == "true or false" else f"{kind.removesuffix(' or none')}{f', {limits}' if limits else ''}"
+            what = "" if kind == "boolean" else f"{kind.removesuffix(' or none')}{f', {limits}' if limits else ''}"
             options.append((spelled, what, default, str(information.help or "") + variable))
     usage += f"{' [OPTIONS]' if options else ''}{' COMMAND' if usage == 'cudc-bench' else ''}"
     text = f"## {title}\n\n{markdown(inspect.cleandoc(function.__doc__ or ''))}\n\n```\n{usage}\n```\n"

@@ -69,14 +69,14 @@ def models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseM
 def test_a_configuration_is_shown_with_types_ranges_defaults_and_meanings() -> None:
     rows = [line.split(" | ") for line in generate.hyperparameters(Shown).splitlines()[2:]]
     assert [[cell.strip("| ") for cell in row] for row in rows[:3]] == [
-        ["`first`", "whole number", "`200_000`", "≥ 1", "share a line"],
-        ["`second`", "number", "`0.5`", "≥ 0, ≤ 1", "share a line"],
+        ["`first`", "integer", "`200_000`", "≥ 1", "share a line"],
+        ["`second`", "float", "`0.5`", "≥ 0, ≤ 1", "share a line"],
         ["`third`", "choice", "`a`", "`a`, `b`", "has its own, in two lines"],
     ]
     text = generate.hyperparameters(Shown)
-    assert "| `fourth` | list of: whole number | `[1,2]` | > 0 | of `name \\| other`; with a \\*star\\* |" in text
-    assert "| `fifth` | number or none | none |  |  |" in text
-    assert "| `sixth` | true or false | `false` |  |  |" in text
+    assert "| `fourth` | list of: integer | `[1,2]` | > 0 | of `name \\| other`; with a \\*star\\* |" in text
+    assert "| `fifth` | float or none | none |  |  |" in text
+    assert "| `sixth` | boolean | `false` |  |  |" in text
 
 
 def test_every_hyperparameter_has_a_meaning_and_a_default_that_set_takes() -> None:
@@ -112,7 +112,7 @@ def test_every_command_and_option_is_shown() -> None:
     for name in plugins.names("commands"):
         if plugins.target("commands", name)[0].startswith("cudc_bench."):
             assert f"\n## {name}\n" in f"\n{text}"
-    assert "| `--seeds`, `--seed` | text | `1` | Seeds, such as 1 or 1-5 or 1,3. |" in text
+    assert "| `--seeds`, `--seed` | string | `1` | Seeds, such as 1 or 1-5 or 1,3. |" in text
     assert "cudc-bench verify" in text
 
 

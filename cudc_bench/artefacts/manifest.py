@@ -107,7 +107,7 @@ class Pilot(BaseModel):
         quantile: the value is this quantile of the medians of the minibatches.
         updates: how many minibatches there were.
         seed, first_step, last_step: of the run, and the environment steps between which these updates happened.
-        versions, commit, dirty, machine, seconds, created, command: provenance.
+        versions, commit, dirty, machine, seconds, created, command: provenance, as of a dataset.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -138,11 +138,15 @@ class Manifest(BaseModel):
 
     Attributes:
         schema_version: of this format.
-        domain, task, method, seed: what was collected; ``task`` is None for a task-agnostic dataset, whose rewards are all 0. An imported
-            dataset's seed is the number that it was given at import.
-        steps, episodes: sizes.
-        profile, overrides: the named set of hyperparameters, and what differs from it; ``"imported"`` and nothing for an imported dataset.
-        hyperparameters, hyperparameters_hash: all values; none are known for an imported dataset.
+        domain: what was explored.
+        task: what rewards are of; None for a task-agnostic dataset, whose rewards are all 0.
+        method: what explored.
+        seed: of the collection; an imported dataset's is the number that it was given at import.
+        steps, episodes: how many there are.
+        profile: the named set of hyperparameters; ``"imported"`` for an imported dataset.
+        overrides: hyperparameters that differ from the profile.
+        hyperparameters: all of them; none are known for an imported dataset.
+        hyperparameters_hash: of ``hyperparameters``.
         citation: the method's paper, as its plug-in names it.
         fields: SHA-256 of each field; ``fingerprint``: of all of them.
         final_state: SHA-256 of the collector's state after the last step (networks, optimisers, random streams), all members of its stack
@@ -152,7 +156,13 @@ class Manifest(BaseModel):
         pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
         imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
         diagnostics: the last line of the collection's diagnostics and the method's own summary; a relabelled dataset has its base's.
-        versions, commit, dirty, machine, seconds, created, command: provenance.
+        versions: of Python and the packages that matter.
+        commit: of this project's code, None when it is not run from a checkout.
+        dirty: whether it had local changes.
+        machine: processor, threads, device.
+        seconds: wall time.
+        created: UTC time, ISO 8601.
+        command: makes this dataset again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
