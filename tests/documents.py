@@ -76,9 +76,21 @@ def commands(page: str) -> Iterator[tuple[int, list[str]]]:
                 break
             while line.endswith("\\"):
                 line = line[:-1] + next(lines)[1]
-            for part in re.split(r" && | -- (?=cudc-bench|$)", line.split(" -> ")[0]):
-                if words := shlex.split(part, comments=True):
-                    yield number, words
+            for words in _parts(line.split(" -> ")[0]):
+                yield number, words
+
+
+def _parts(line: str) -> Iterator[list[str]]:
+    """The words of each command of a line: of several after each other, and of ours after the ``--`` of one that starts it."""
+    lexer = shlex.shlex(line, posix=True, punctuation_chars=";&|")
+    lexer.whitespace_split = True
+    words: list[str] = []
+    for word in [*lexer, ";"]:
+        if not set(word) <= set(";&|") and not (word == "cudc-bench" and words[-1:] == ["--"]):
+            words.append(word)
+        elif words:
+            yield words
+            words = [] if set(word) <= set(";&|") else [word]
 
 
 def spans(page: str) -> Iterator[list[str]]:

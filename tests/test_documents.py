@@ -36,6 +36,7 @@ UNCHECKED = {
     "#!/bin/bash": "begins a script of Slurm",
     "#SBATCH": "an option of Slurm, which needs a cluster",
     "head=$(scontrol": "needs a cluster of Slurm",
+    "head": "takes what the one before it says",
     "srun": "needs a cluster of Slurm",
     "ray": "needs a cluster, or starts one; tests/suites/test_cluster.py runs a suite on one",
     "source": "changes the shell that it is given to",
