@@ -205,7 +205,7 @@ def _settings(values: Mapping[str, Any]) -> str:
 
 def profiles() -> str:
     """What each profile changes, for collection and for training."""
-    text = table(("profile", "purpose"), [(f"`{one.name}`", one.purpose) for one in PROFILES.values()])
+    text = ""
     for stage, configs in (
         ("collect", [_collect_config(), *configurations("collectors")]),
         ("evaluate", [EvaluateConfig, *configurations("evaluators")]),
