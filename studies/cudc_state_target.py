@@ -69,7 +69,7 @@ def main(arguments: list[str]) -> None:
         passed, far = not any(map(collapses, own)), fmean(map(distance, own))
         if passed:
             left[method] = far
-        errors = ", ".join(f"{float(row['error_over_persistence']):.2f}" for row in own)
+        errors = ", ".join(f"{float(row['error_over_persistence']):.3f}" for row in own)
         ranks = ", ".join(f"{float(row['effective_rank']):.0f}" for row in own)
         when = [", ".join(f"{float(row[k]):.0%}" if row[k] else "never" for row in own) for k in ("k4", "k5")]
         print(f"| `{method}` | {errors} | {ranks} | {'passed' if passed else 'collapses'} | {' | '.join(when)} | {far:.2f} |")
