@@ -15,7 +15,8 @@ from cudc_bench.collectors.running.loop import _Run as Collection
 from cudc_bench.collectors.running.setting import settle
 from cudc_bench.envs import check_domain
 from cudc_bench.evaluators.contract import batch_for
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution import CHECKPOINT_EVERY
+from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.settings.profiles import PROFILES
 

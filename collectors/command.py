@@ -27,9 +27,7 @@ from cudc_bench.cli.options import (
     with_precision,
 )
 from cudc_bench.errors import UsageError
-from cudc_bench.execution import interrupts
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
-from cudc_bench.execution.runlog import LOG_DIR
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.settings.seeds import parse_seeds
 
 

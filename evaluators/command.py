@@ -28,8 +28,7 @@ from cudc_bench.cli.options import (
     parse_tasks,
     with_precision,
 )
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
-from cudc_bench.execution.runlog import LOG_DIR
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
 from cudc_bench.settings.seeds import parse_seeds
 
 OutputOption = Annotated[str, typer.Option("--output", help="Folder of the records.")]

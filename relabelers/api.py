@@ -25,8 +25,7 @@ from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.execution import interrupts
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution import CHECKPOINT_EVERY, interrupts
 from cudc_bench.execution.progress import bars, say
 from cudc_bench.files import check_folder, remove_empty, unwritable
 

@@ -729,11 +729,10 @@ def test_the_lock_of_a_dead_process_is_taken_over(main: Callable, three: list) -
 
 def test_who_comes_when_another_is_done_keeps_what_is_there(main: Callable, three: list, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also who looked when it was not there yet."""
-    from cudc_bench.collectors.running import collect as collecting
-    from cudc_bench.evaluators.running import evaluate as evaluating
     from cudc_bench.relabelers import api as relabelling
+    from cudc_bench.runs import execution
 
-    doors = [(collecting, "run_jobs"), (relabelling, "say"), (evaluating, "run_jobs")]  # behind the first look
+    doors = [(execution, "run_jobs"), (relabelling, "say"), (execution, "run_jobs")]  # behind the first look
     for (command, lock, made), (module, door) in zip(three, doors, strict=True):
         real, before = getattr(module, door), []
 

@@ -21,9 +21,10 @@ from cudc_bench.data.staging import checkpoints_path, is_untidy, publish, stagin
 from cudc_bench.data.writer import write_episodes
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints, digest
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
+from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.execution.progress import Advance, say
-from cudc_bench.execution.runlog import LOG_DIR, LogTarget, open_log
+from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.runs.execution import Execution, Work

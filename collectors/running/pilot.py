@@ -21,7 +21,8 @@ from cudc_bench.artefacts.manifest import Pilot
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import BrokenDownError, UsageError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution import CHECKPOINT_EVERY
+from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import worker_count
 from cudc_bench.execution.progress import Advance, say

@@ -22,10 +22,10 @@ import numpy as np
 import torch
 
 from cudc_bench.errors import UnusableError, UsageError
+from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.progress import say
 from cudc_bench.files import unwritable, write_atomically
 
-CHECKPOINT_EVERY = 60.0  # seconds, unless somebody says otherwise
 KEPT = 2
 _RUN = "run.json"
 _SHARE = 0.02  # of a run's time that checkpoints may cost

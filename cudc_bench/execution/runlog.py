@@ -16,9 +16,9 @@ from typing import Any
 
 from cudc_bench.artefacts.ids import domain_slug
 from cudc_bench.errors import RunError, UsageError, unknown
+from cudc_bench.execution import LOG_DIR
 from cudc_bench.files import check_folder
 
-LOG_DIR = "runs"  # TensorBoard's own habit
 LOGS = ("tensorboard", "wandb")  # each is the name of its package and of the extra that installs it
 
 

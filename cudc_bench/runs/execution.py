@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from cudc_bench.errors import UsageError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
+from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.parallel import Job, run_jobs, worker_count
-from cudc_bench.execution.runlog import LOG_DIR, check_log
+from cudc_bench.execution.runlog import check_log
 from cudc_bench.settings.profiles import resolve_device
 
 

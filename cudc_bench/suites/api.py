@@ -12,7 +12,7 @@ from typing import Any
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import datasets_root
 from cudc_bench.errors import UsageError, unknown
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import cores, only_cores, worker_count
 from cudc_bench.execution.progress import say

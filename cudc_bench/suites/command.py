@@ -8,7 +8,7 @@ import typer
 
 from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.settings.seeds import parse_seeds
 
 if TYPE_CHECKING:

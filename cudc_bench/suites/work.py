@@ -21,7 +21,7 @@ from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.artefacts.records import read_record
 from cudc_bench.data.staging import building_path, staging, tidy
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.progress import Listener, told
 from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.stages import ensure_relabelled

@@ -14,11 +14,10 @@ from cudc_bench.artefacts.records import DatasetReference, record_path, write_re
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError
-from cudc_bench.execution import interrupts
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, say
-from cudc_bench.execution.runlog import LOG_DIR, LogTarget, open_log
+from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.profiles import resolve_profile

@@ -20,11 +20,11 @@ from cudc_bench.artefacts.references import Reference, ReferenceRun, read_refere
 from cudc_bench.data.writer import EpisodeShards
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
-from cudc_bench.execution import interrupts
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
+from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, say
-from cudc_bench.execution.runlog import LOG_DIR, LogTarget, RunLog, open_log
+from cudc_bench.execution.runlog import LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.networks import MemberRandom

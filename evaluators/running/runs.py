@@ -16,7 +16,8 @@ from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.execution.checkpoints import CHECKPOINT_EVERY, Checkpoints
+from cudc_bench.execution import CHECKPOINT_EVERY
+from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.files import remove_empty_above
 from cudc_bench.settings.config import config_hash
