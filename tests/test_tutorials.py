@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import cudc_bench
+from cudc_bench.cli.app import main
 from cudc_bench.envs.drawing import probe
 
 from .documents import PAGES, ROOT, block, blocks, commands
@@ -59,17 +60,30 @@ def run(environment: dict[str, str], tmp_path: Path) -> Callable[..., str]:
 
 
 @pytest.fixture
-def follow(cli: Callable) -> Callable[[str], list[str]]:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Gives a command of ours in this process, which spares the seconds of loading PyTorch, in ``tmp_path`` at the smoke profile; returns
+    what it printed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CUDC_BENCH_PROFILE", "smoke")
+
+    def done(*words: str) -> str:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main(list(words))
+        found = capfd.readouterr()
+        assert ended.value.code == 0, (words, found.err)
+        return found.out
+
+    return done
+
+
+@pytest.fixture
+def follow(here: Callable[..., str]) -> Callable[[str], list[str]]:
     """Gives all commands of ours in a page, in their order, at the smoke profile; returns what they printed."""
 
     def done(page: str) -> list[str]:
-        printed = []
-        for line, words in commands(page):
-            if words[0] == "cudc-bench":
-                found = cli(*["smoke" if word == "demo" else word for word in words[1:]])
-                assert found.code == 0, (page, line, words, found.err)
-                printed.append(found.out)
-        return printed
+        ours = [words[1:] for _, words in commands(page) if words[0] == "cudc-bench"]
+        return [here(*["smoke" if word == "demo" else word for word in words]) for words in ours]
 
     return done
 
@@ -104,12 +118,11 @@ def test_a_first_number_from_python(run: Callable[..., str]) -> None:
     assert run(block(FIRST, "__main__")).startswith("(3000, 24) (3000, 6) 0.0")
 
 
-def test_own_rewards(follow: Callable[[str], list[str]], cli: Callable, tmp_path: Path) -> None:
+def test_own_rewards(follow: Callable[[str], list[str]], here: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "my_rewards.py").write_text(block(REWARD, "def hop") + block(REWARD, "def careful"))
     follow(REWARD)
     assert (tmp_path / "results/smoke/walker/hop/cudc-v0/td3-seed1.json").exists()
-    done = cli("relabel", "walker/cudc-v0", "--reward", "my_rewards:careful")
-    assert done.code == 0, done.err
+    here("relabel", "walker/cudc-v0", "--reward", "my_rewards:careful")
 
 
 def test_another_domain(follow: Callable[[str], list[str]], run: Callable[..., str]) -> None:
@@ -127,8 +140,8 @@ def test_jax_trains(run: Callable[..., str], smoke: Path) -> None:
     assert 0 < float(run(block(DATA, "import jax"))) < 1
 
 
-def test_policies_leave(cli: Callable, run: Callable[..., str], smoke: Path, tmp_path: Path) -> None:
-    assert cli("evaluate", "--algo", "td3", "--task", "walk").code == 0
+def test_policies_leave(here: Callable[..., str], run: Callable[..., str], smoke: Path, tmp_path: Path) -> None:
+    here("evaluate", "--algo", "td3", "--task", "walk")
     folder = tmp_path / "results/smoke/walker/walk/cudc-v0"
     code = block(POLICIES, "render_policy").replace("results/cpu", "results/smoke")
     if probe() is None:
@@ -142,22 +155,24 @@ def test_policies_leave(cli: Callable, run: Callable[..., str], smoke: Path, tmp
 
 
 @pytest.mark.parametrize("page", [f"docs/how-to/{name}.md" for name in ("diagnostics", "leaderboard", "verify")])
-def test_what_looks_at_results_looks(page: str, cli: Callable, follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path) -> None:
-    assert cli("evaluate", "--algo", "td3", "--task", "walk").code == 0
+def test_what_looks_at_results_looks(
+    page: str, here: Callable[..., str], follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path
+) -> None:
+    here("evaluate", "--algo", "td3", "--task", "walk")
     follow(page)
     assert page.endswith("verify.md") or list((tmp_path / "report").iterdir())
 
 
-def test_what_is_published_stands_by_itself(cli: Callable, smoke: Path) -> None:
+def test_what_is_published_stands_by_itself(here: Callable[..., str], smoke: Path) -> None:
     ours = [words[1:] for _, words in commands("docs/how-to/publish.md") if words[0] == "cudc-bench"]
     for words in ours[:2]:
-        assert (done := cli(*words)).code == 0, done.err
+        here(*words)
     shutil.rmtree(smoke / "walker" / "cudc-v0")
     assert cudc_bench.load_transitions("walker/walk/cudc-v0", verify=True).rewards.shape == (3000,)
 
 
-def test_a_suite_of_ones_own_is_planned(cli: Callable, tmp_path: Path) -> None:
+def test_a_suite_of_ones_own_is_planned(here: Callable[..., str], tmp_path: Path) -> None:
     (code,) = [one.code for one in blocks("docs/how-to/studies.md", "toml")]
     (tmp_path / "my.toml").write_text(code)
-    for words in (["run", "my.toml", "--dry-run"], ["run", "main", "--dry-run"]):
-        assert (done := cli(*words)).code == 0, done.err
+    for suite in ("my.toml", "main"):
+        here("run", suite, "--dry-run")
