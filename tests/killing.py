@@ -109,6 +109,7 @@ class Killer:
             number, before = self.random.randint(1, max(1, self.calls[moment])), self.random.random() < 0.5
             child = self._fork(lambda: _die_at(owner, name, number, before))
         _, status = os.waitpid(child, 0)
+        self._went_on()
         # Whatever happened, nothing half-written can be seen.
         for one in minari.list_local_datasets():
             verify_fingerprint(one)
@@ -119,6 +120,10 @@ class Killer:
             assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()
             self.check()
 
+    def _went_on(self) -> None:
+        """A run that starts over ends the same way; but what was killed has left something to go on from."""
+        assert "starts over" not in (self.folder / "said").read_text()
+
     def _lost_a_worker(self) -> bool:
         """Whether a process of a suite's was killed, and not the one that was started: that one says so, and goes on with the rest."""
         return "its process died (SIGKILL" in (self.folder / "said").read_text()
@@ -126,6 +131,7 @@ class Killer:
     def check(self) -> None:
         """Let the run end, compare it with the uninterrupted one, and start a new one."""
         self._run()
+        self._went_on()
         found = self._outcome()
         different = [name for name in {*found, *self.expected} if found.get(name) != self.expected.get(name)]
         assert not different, different
