@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do $$p -c '$(FITS)' 2>
 DEMO := $(CURDIR)/demo
 KILLS ?= 200
 # Tests also wait: for processes that they started, and for the disk. One more than there are cores keeps all of these busy.
-TESTERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
+TESTERS ?= $(shell $(PYTHON) -c 'import os; print(1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))')
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-fast slow lint format screenshots bench torture mutants docs wheel-check clean
