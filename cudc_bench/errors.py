@@ -49,11 +49,12 @@ def wants_traceback() -> bool:
 
 def traceback_of(error: BaseException) -> str:
     """An error's traceback with all that led to it, that of an error included which the message for people hides (``from None``)."""
-    seen, one = set[int](), error
+    seen = set[int]()
+    one: BaseException | None = error
     while one is not None and id(one) not in seen:
         seen.add(id(one))
         one.__suppress_context__ = one.__cause__ is not None
-        one = one.__cause__ or one.__context__  # type: ignore[assignment]
+        one = one.__cause__ or one.__context__
     return "".join(traceback.format_exception(error))
 
 

@@ -18,7 +18,7 @@ from cudc_bench.settings.profiles import resolve_device
 
 @dataclass(frozen=True)
 class Execution:
-    """How a command works; but for the device, no result depends on it.
+    """How a command works. Results depend on the device, and on ``workers`` where a profile shares the cores among them; on nothing else.
 
     Attributes:
         device: ``cpu`` or ``cuda``.
