@@ -10,12 +10,13 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from cudc_bench.artefacts.ids import dataset_path, default_id
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, default_id
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.records import read_record
 
@@ -29,25 +30,31 @@ TABLE = Path(__file__).with_name("cudc-state-target.csv")
 MEASURED = ("error_over_persistence", "effective_rank", "state_spread", "p", "w_median")
 
 
+def last_quarter(one: DatasetId, names: Iterable[str]) -> dict[str, float]:
+    """Means of diagnostics over the last quarter of a dataset's run; a measure that it has not is absent."""
+    steps = read_manifest(one).steps
+    lines = [json.loads(line) for line in (dataset_path(one) / "diagnostics.jsonl").read_text().splitlines()]
+    values = {name: [line[name] for line in lines if line["step"] > LAST_QUARTER * steps and name in line] for name in names}
+    return {name: round(fmean(found), 4) for name, found in values.items() if found}
+
+
 def row_of(method: str, seed: int) -> dict[str, Any]:
     """One run: where its k grew, and the means of its diagnostics over the last quarter."""
     one = default_id("walker", method, seed)
     manifest = read_manifest(one)
-    lines = [json.loads(line) for line in (dataset_path(one) / "diagnostics.jsonl").read_text().splitlines()]
-    last = [line for line in lines if line["step"] > LAST_QUARTER * manifest.steps]
-    means = {name: round(fmean(line[name] for line in last if name in line), 4) for name in MEASURED}
     grew = {growth.new_k: growth.step / manifest.steps for growth in manifest.k_growth}
     return (
         {"method": method, "seed": seed, "feature_dim": manifest.hyperparameters["feature_dim"]}
-        | means
+        | last_quarter(one, MEASURED)
         | {f"k{k}": round(grew[k], 4) if k in grew else "" for k in (4, 5, 6)}
-        | {"coverage_cells": lines[-1]["coverage_cells"], "fingerprint": manifest.fingerprint, "commit": manifest.commit}
+        | {"coverage_cells": manifest.diagnostics["coverage_cells"], "fingerprint": manifest.fingerprint, "commit": manifest.commit}
     )
 
 
 def collapses(row: dict[str, Any]) -> bool:
     """Step (a) of one run."""
-    return float(row["error_over_persistence"]) >= 1 or float(row["effective_rank"]) < LEAST_RANK * float(row["feature_dim"])
+    error, rank = row["error_over_persistence"], row["effective_rank"]
+    return (error != "" and float(error) >= 1) or (rank != "" and float(rank) < LEAST_RANK * float(row["feature_dim"]))
 
 
 def distance(row: dict[str, Any]) -> float:
