@@ -78,8 +78,8 @@ class Collector(ABC):
     def threshold(cls, config: Any) -> str | None:
         """The hyperparameter that a pilot measures before the method can run, for which nobody knows a value; None for most methods.
 
-        With 0 in its place the method runs as its own pilot: ``batch.kept["signal"]`` (E, B) then holds, after each update, what the
-        threshold will be compared with.
+        With 0 in its place the method runs as its own pilot: ``batch.signal`` (E, B) then holds, after each update, what the threshold
+        will be compared with.
         """
         return None
 
