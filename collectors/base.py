@@ -12,7 +12,7 @@ from torch import Tensor
 
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import build
-from cudc_bench.settings.profiles import PAPER_STEPS
+from cudc_bench.settings.profiles import PAPER_STEPS, schedules
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Collector(ABC):
     Class attributes:
         config_class: the frozen dataclass of hyperparameters; its defaults are the paper's.
         domain_values: hyperparameters that the method's paper sets per domain.
-        moot_in_pilot: hyperparameters that have no effect while a pilot runs (see ``threshold``).
+        ignored_by_pilot: hyperparameters that have no effect while a pilot runs (see ``measured_by_pilot``).
         values: hyperparameters that make a named variant out of the method that it is a subclass of; they win over ``domain_values``.
         family: how it explores, for lists and tables.
         citation: the paper, for lists and tables.
@@ -54,7 +54,7 @@ class Collector(ABC):
     config_class: ClassVar[type]
     domain_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     values: ClassVar[Mapping[str, Any]] = {}
-    moot_in_pilot: ClassVar[frozenset[str]] = frozenset()
+    ignored_by_pilot: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str]
     citation: ClassVar[str]
     learns: ClassVar[bool] = True
@@ -72,10 +72,11 @@ class Collector(ABC):
         Raises:
             UsageError: a value is of the wrong type or out of range.
         """
-        return build(cls.config_class, profile or {}, cls.domain_values.get(domain, {}), cls.values, settings or {})
+        profile, config = profile or {}, cls.config_class
+        return build(config, schedules(config, profile), profile, cls.domain_values.get(domain, {}), cls.values, settings or {})
 
     @classmethod
-    def threshold(cls, config: Any) -> str | None:
+    def measured_by_pilot(cls, config: Any) -> str | None:
         """The hyperparameter that a pilot measures before the method can run, for which nobody knows a value; None for most methods.
 
         With 0 in its place the method runs as its own pilot: ``batch.signal`` (E, B) then holds, after each update, what the threshold
@@ -94,7 +95,7 @@ class Collector(ABC):
         return int(self.horizon.max())
 
     @property
-    def nearest(self) -> int | None:
+    def min_horizon(self) -> int | None:
         """The smallest k' of the second state that comes with each transition, k' uniform from there to k; None where none is wanted."""
         return None
 

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from cudc_bench.learning.knn import neighbour_distances
 from cudc_bench.learning.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import LATER, WITH_STEPS, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from .ddpg import DDPGConfig
 from .horizon import MovingHorizon
@@ -108,9 +108,9 @@ class CUDCConfig(DDPGConfig):
     k_rule: Literal["weight", "reward", "error", "uniform", "normal"] = "weight"
     c_r: NonNegativeFloat | None = None
     c_e: NonNegativeFloat | None = None
-    threshold_dwell: NonNegativeInt = 150_000
+    threshold_dwell: NonNegativeInt = field(default=150_000, metadata=WITH_STEPS)
     normal_std: NonNegativeFloat = 1.0
-    normal_steps: PositiveInt = 1_000_000
+    normal_steps: PositiveInt = field(default=1_000_000, metadata=WITH_STEPS)
 
 
 _SIGNALS = {"weight": "w", "reward": "reward", "error": "surprise"}  # what each rule for k looks at
@@ -185,7 +185,7 @@ class CUDC(MovingHorizon):
     citation = "Sun, Qian, Miao 2024"
 
     @property
-    def nearest(self) -> int | None:
+    def min_horizon(self) -> int | None:
         return int(self.config.horizon) if self.config.inverse_k_batch == "mixed" else None
 
     def check(self) -> None:
@@ -195,7 +195,7 @@ class CUDC(MovingHorizon):
             ValueError: says which.
         """
         config = self.config
-        wanted = self.threshold(config)
+        wanted = self.measured_by_pilot(config)
         problems = {
             f"k_max={config.k_max} is below the first horizon {config.horizon}": config.k_max < config.horizon,
             f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}": config.entropy

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.artefacts.manifest import suspect_limits
+from cudc_bench.artefacts.k_schedule import summarise
 from cudc_bench.learning.networks import MemberRandom
 
 from .ddpg import DDPG
@@ -30,12 +30,12 @@ class MovingHorizon(DDPG):
     ``normal_steps``, as :class:`.cudc.CUDCConfig` explains them.
     """
 
-    moot_in_pilot: ClassVar[frozenset[str]] = frozenset(
+    ignored_by_pilot: ClassVar[frozenset[str]] = frozenset(
         {"c_w", "c_r", "c_e", "c_k", "patience", "min_dwell", "threshold_dwell", "normal_std", "normal_steps"}
     )
 
     @classmethod
-    def threshold(cls, config: Any) -> str | None:
+    def measured_by_pilot(cls, config: Any) -> str | None:
         return _THRESHOLDS[config.k_rule] if config.k_rule in _MEASURED else None
 
     @property
@@ -82,7 +82,7 @@ class MovingHorizon(DDPG):
         """k <- k + 1 where p > C_k (paper, Algorithm 1)."""
         config = self.config
         self.in_a_row.copy_(torch.where(low > config.c_k, self.in_a_row + 1, 0))
-        dwell = max(config.min_dwell, config.threshold_dwell if self.threshold(config) else 0)
+        dwell = max(config.min_dwell, config.threshold_dwell if self.measured_by_pilot(config) else 0)
         dwelt = (self.updates - self.last_change) * self.space.update_every >= dwell
         grow = (self.in_a_row >= config.patience) & dwelt & (self.k < config.k_max)
         row = (self.k - config.horizon)[:, None, None].expand(-1, 1, 3)
@@ -119,9 +119,6 @@ class MovingHorizon(DDPG):
                     step = self.space.seed_steps + int(update) * self.space.update_every
                     k = self.config.horizon + row
                     changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, looked_at: mean})
-            steps = [change["step"] for change in changes]
-            at_bound = len(steps) == self.horizons - 1 and len(steps) > 1
-            starts, ends = suspect_limits(self.space.steps)
-            early = bool(steps) and (steps[0] < starts or (at_bound and steps[-1] - steps[0] <= ends))
-            found.append({"k_increments": changes, "k_schedule_suspect": early})
+            at_bound = len(changes) == self.horizons - 1 and len(changes) > 1
+            found.append(summarise(changes, at_bound, self.space.steps))
         return found

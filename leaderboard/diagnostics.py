@@ -15,6 +15,7 @@ from statistics import fmean, stdev
 from typing import Any
 
 from cudc_bench.artefacts.ids import dataset_path
+from cudc_bench.artefacts.k_schedule import KSchedule, k_schedule
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.records import settings_text
 from cudc_bench.errors import RunError, UsageError
@@ -57,10 +58,15 @@ class Run:
         return None if found is None else found[max(found)]
 
     @property
+    def schedule(self) -> KSchedule:
+        """When k grew."""
+        return k_schedule(self.manifest.diagnostics)
+
+    @property
     def k(self) -> float | None:
         """k at the end; None for a method that has none."""
         # The last line's k is that of its minibatch, from before this update's test.
-        growth = self.manifest.k_growth
+        growth = self.schedule.growth
         return growth[-1].new_k if growth else self.last("k")
 
 

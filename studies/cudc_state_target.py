@@ -14,6 +14,7 @@ from statistics import fmean
 from typing import Any
 
 from cudc_bench.artefacts.ids import dataset_path, default_id
+from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import exists, read_manifest
 
 READINGS, SEEDS = ("cudc-stopgrad", "cudc-momentum", "cudc-live"), range(1, 6)
@@ -31,7 +32,7 @@ def row_of(method: str, seed: int) -> dict[str, Any]:
     lines = [json.loads(line) for line in (dataset_path(one) / "diagnostics.jsonl").read_text().splitlines()]
     last = [line for line in lines if line["step"] > LAST_QUARTER * manifest.steps]
     means = {name: round(fmean(line[name] for line in last if name in line), 4) for name in MEASURED}
-    grew = {growth.new_k: growth.step / manifest.steps for growth in manifest.k_growth}
+    grew = {growth.new_k: growth.step / manifest.steps for growth in k_schedule(manifest.diagnostics).growth}
     return (
         {"method": method, "seed": seed, "feature_dim": manifest.hyperparameters["feature_dim"]}
         | means

@@ -49,7 +49,7 @@ class Ignores:
 
 def test_exactly_these_need_one():
     kinds = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
-    assert [name for name, kind in kinds.items() if kind.threshold(kind.configure("walker")) is not None] == NEEDY
+    assert [name for name, kind in kinds.items() if kind.measured_by_pilot(kind.configure("walker")) is not None] == NEEDY
 
 
 @pytest.mark.parametrize("method", NEEDY)

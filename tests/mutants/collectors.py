@@ -990,7 +990,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/horizon.py", ("cudc-vary-icm", "cudc-no-reach", "cudc-reward"),
-        ("config.threshold_dwell if self.threshold(config) else 0", "0"),
+        ("config.threshold_dwell if self.measured_by_pilot(config) else 0", "0"),
     ),
     *mutants(
         "collectors/horizon.py", ("cudc-uniform-k", "cudc-normal-k"),
