@@ -25,7 +25,7 @@ class Regression(Learner):
     """Predicts an action from an observation; every third update does so with half the weight."""
 
     def __init__(self, device: str = "cpu") -> None:
-        super().__init__()
+        super().__init__(None, [1], device)
         self.random["noise"] = MemberRandom([1], "noise", device)
         self.network = mlp(MemberRandom([1], "weights", device), 3, 8, 2)
         self.add_optimiser("network", [self.network], 1e-2)
