@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from cudc_bench import plugins
+from cudc_bench.data.diagnostics import DIAGNOSTICS
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.execution import interrupts
@@ -42,7 +43,7 @@ from cudc_bench.learning.replay import Batch, Episodes
 from .base import Collector, Space
 from .ddpg import DDPG
 from .representation import effective_rank, spread
-from .running.journal import DIAGNOSTICS, Journal
+from .running.journal import Journal
 from .running.loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}

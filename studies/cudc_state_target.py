@@ -13,9 +13,10 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from cudc_bench.artefacts.ids import dataset_path, default_id
+from cudc_bench.artefacts.ids import default_id
 from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import exists, read_manifest
+from cudc_bench.data.diagnostics import diagnostics_path
 
 READINGS, SEEDS = ("cudc-stopgrad", "cudc-momentum", "cudc-live"), range(1, 6)
 LAST_QUARTER, LEAST_RANK = 0.75, 0.1
@@ -29,7 +30,7 @@ def row_of(method: str, seed: int) -> dict[str, Any]:
     """One run: where its k grew, and the means of its diagnostics over the last quarter."""
     one = default_id("walker", method, seed)
     manifest = read_manifest(one)
-    lines = [json.loads(line) for line in (dataset_path(one) / "diagnostics.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in diagnostics_path(one).read_text().splitlines()]
     last = [line for line in lines if line["step"] > LAST_QUARTER * manifest.steps]
     means = {name: round(fmean(line[name] for line in last if name in line), 4) for name in MEASURED}
     grew = {growth.new_k: growth.step / manifest.steps for growth in k_schedule(manifest.diagnostics).growth}

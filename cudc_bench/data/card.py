@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from cudc_bench.artefacts.k_schedule import k_schedule, suspect_limits
 from cudc_bench.artefacts.manifest import Manifest
-from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
+from cudc_bench.data.measure import CARD, NEIGHBOUR, Coverage, RewardStatistics
 from cudc_bench.envs.domains import Domain, domain_title
 from cudc_bench.text import escape_markdown, plain, templates
 
@@ -59,7 +59,7 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
         descriptors=_descriptors(manifest, facts),
         number=_number,
         neighbour=NEIGHBOUR,
-        saturated=SATURATED,
+        saturated=CARD.saturated,
         observations=[(index, [_number(value) for value in row]) for index, row in enumerate(zip(*columns, strict=True))],
         license="mit" if manifest.imported is None else "unknown",
         size=Markup(next((name for limit, name in _SIZES if manifest.steps < limit), "100M<n<1B")),

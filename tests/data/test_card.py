@@ -17,8 +17,8 @@ from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import Base, Manifest, read_manifest
 from cudc_bench.data.card import render_card
 from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.measure import measure_coverage, reward_statistics
 from cudc_bench.data.reader import load_episodes
-from cudc_bench.data.statistics import measure_coverage, reward_statistics
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 
