@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.learner import MemberStack
 from cudc_bench.settings.config import build
-from cudc_bench.settings.profiles import PAPER_STEPS
+from cudc_bench.settings.profiles import PAPER_STEPS, schedules
 
 
 @dataclass(frozen=True)
@@ -38,32 +38,24 @@ class Space:
     steps: int = PAPER_STEPS
 
 
-class Collector(ABC):
+class Collector(MemberStack):
     """A stack of E independent explorers, one for each seed.
 
-    Class attributes:
-        config_class: the frozen dataclass of hyperparameters; its defaults are the paper's.
-        domain_values: hyperparameters that the method's paper sets per domain.
-        moot_in_pilot: hyperparameters that have no effect while a pilot runs (see ``threshold``).
-        values: hyperparameters that make a named variant out of the method that it is a subclass of; they win over ``domain_values``.
+    Class attributes, beside those of every stack:
+        domain_values: hyperparameters that the method's paper sets per domain; ``values`` win over them.
+        ignored_by_pilot: hyperparameters that have no effect while a pilot runs (see ``measured_by_pilot``).
         family: how it explores, for lists and tables.
-        citation: the paper, for lists and tables.
         learns: False if ``update`` never has anything to do.
     """
 
-    config_class: ClassVar[type]
     domain_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    values: ClassVar[Mapping[str, Any]] = {}
-    moot_in_pilot: ClassVar[frozenset[str]] = frozenset()
+    ignored_by_pilot: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str]
-    citation: ClassVar[str]
     learns: ClassVar[bool] = True
 
     def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        super().__init__(config, seeds, device)
         self.space = space
-        self.config = config
-        self.seeds = tuple(seeds)
-        self.device = torch.device(device)
 
     @classmethod
     def configure(cls, domain: str, profile: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Any:
@@ -72,14 +64,15 @@ class Collector(ABC):
         Raises:
             UsageError: a value is of the wrong type or out of range.
         """
-        return build(cls.config_class, profile or {}, cls.domain_values.get(domain, {}), cls.values, settings or {})
+        profile, config = profile or {}, cls.config_class
+        return build(config, schedules(config, profile), profile, cls.domain_values.get(domain, {}), cls.values, settings or {})
 
     @classmethod
-    def threshold(cls, config: Any) -> str | None:
+    def measured_by_pilot(cls, config: Any) -> str | None:
         """The hyperparameter that a pilot measures before the method can run, for which nobody knows a value; None for most methods.
 
-        With 0 in its place the method runs as its own pilot: ``batch.kept["signal"]`` (E, B) then holds, after each update, what the
-        threshold will be compared with.
+        With 0 in its place the method runs as its own pilot: ``batch.signal`` (E, B) then holds, after each update, what the threshold
+        will be compared with.
         """
         return None
 
@@ -94,7 +87,7 @@ class Collector(ABC):
         return int(self.horizon.max())
 
     @property
-    def nearest(self) -> int | None:
+    def min_horizon(self) -> int | None:
         """The smallest k' of the second state that comes with each transition, k' uniform from there to k; None where none is wanted."""
         return None
 
@@ -115,18 +108,6 @@ class Collector(ABC):
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:
         """Actions (E, A) in [-1, 1] for observations (E, S); deterministic without ``explore``."""
 
-    @abstractmethod
-    def update(self, batch: Batch) -> dict[str, Tensor]:
-        """Learn from one minibatch. The metrics are (E,) tensors, complete when ``batch.measure`` is set."""
-
     def summary(self) -> list[dict[str, Any]]:
         """What the manifest keeps of each member's run beside the last metrics."""
         return [{} for _ in self.seeds]
-
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that ``update`` and ``act`` change: networks, optimisers, generators, counters."""
-
-    @abstractmethod
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue exactly where ``state_dict`` was taken."""

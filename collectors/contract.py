@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from cudc_bench import plugins
+from cudc_bench.data.diagnostics import DIAGNOSTICS
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.execution import interrupts
@@ -42,7 +43,7 @@ from cudc_bench.learning.replay import Batch, Episodes
 from .base import Collector, Space
 from .ddpg import DDPG
 from .representation import effective_rank, spread
-from .running.journal import DIAGNOSTICS, Journal
+from .running.journal import Journal
 from .running.loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
@@ -64,7 +65,7 @@ def make(name: str = "cudc", seeds: Sequence[int] = (1,), space: Space | None = 
     kind = plugins.load("collectors", name)
     space = space or SPACES["walker"]
     config = kind.configure(space.domain, SMALL, settings)
-    if (threshold := kind.threshold(config)) is not None and getattr(config, threshold) is None:
+    if (threshold := kind.measured_by_pilot(config)) is not None and getattr(config, threshold) is None:
         config = kind.configure(space.domain, SMALL, {threshold: 0.5, **settings})
     return kind(space, config, list(seeds))
 
@@ -84,9 +85,9 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
         )
     observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
     batch = Batch(observation, action, following, collector.horizon, measure=measure)
-    if collector.nearest is not None:
+    if collector.min_horizon is not None:
         batch.nearer_observation = (observation + following) / 2
-        batch.nearer_horizon = collector.nearest + torch.arange(size) % (collector.horizon[:, None] - collector.nearest + 1)
+        batch.nearer_horizon = collector.min_horizon + torch.arange(size) % (collector.horizon[:, None] - collector.min_horizon + 1)
     if collector.skill_size:
         rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in members]
         batch.skill = torch.stack([collector.draw_skills(MemberRandom(seeds, "rows")) for seeds in rows])
@@ -107,8 +108,8 @@ def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
         return torch.tanh(0.5 * causes @ mixture) + 0.02 * torch.randn(1, size, space.observation, generator=drawn)
 
     batch = Batch(seen(causes), action, seen(following), collector.horizon)
-    if collector.nearest is not None:
-        batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.nearest)
+    if collector.min_horizon is not None:
+        batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.min_horizon)
     if collector.skill_size:
         batch.skill = collector.draw_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
     return batch
@@ -344,7 +345,7 @@ class CollectorContract:
             replay = Episodes(2, 6, 6 * 40, 24, 6, random, skill=collector.skill_size)
 
             def draw(measure: bool) -> Batch:
-                return replay.sample(32, collector.horizon, measure, collector.nearest)
+                return replay.sample(32, collector.horizon, measure, collector.min_horizon)
 
             updates = Updates(collector, draw, random, graph)
             seen: list[str] = []

@@ -7,6 +7,7 @@ settings that the paper studies.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,13 +17,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from cudc_bench.artefacts.manifest import suspect_limits
 from cudc_bench.learning.knn import neighbour_distances
 from cudc_bench.learning.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import LATER, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import LATER, WITH_STEPS, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from .ddpg import DDPG, DDPGConfig
+from .ddpg import DDPGConfig
+from .horizon import MovingHorizon
 from .representation import action_share, effective_rank, spread
 
 
@@ -107,18 +108,66 @@ class CUDCConfig(DDPGConfig):
     k_rule: Literal["weight", "reward", "error", "uniform", "normal"] = "weight"
     c_r: NonNegativeFloat | None = None
     c_e: NonNegativeFloat | None = None
-    threshold_dwell: NonNegativeInt = 150_000
+    threshold_dwell: NonNegativeInt = field(default=150_000, metadata=WITH_STEPS)
     normal_std: NonNegativeFloat = 1.0
-    normal_steps: PositiveInt = 1_000_000
+    normal_steps: PositiveInt = field(default=1_000_000, metadata=WITH_STEPS)
 
 
-# What each rule for k looks at, and the threshold below which it counts.
-_THRESHOLDS = {"weight": "c_w", "reward": "c_r", "error": "c_e"}
+_SIGNALS = {"weight": "w", "reward": "reward", "error": "surprise"}  # what each rule for k looks at
 _LOSSES = ("loss_forward", "loss_inverse", "loss_step", "loss_reach")  # in the order of loss_weights
 _QUANTILES = {"w_q10": 0.10, "w_q25": 0.25, "w_median": 0.50, "w_q75": 0.75, "w_q90": 0.90}
 
 
-class CUDC(DDPG):
+@dataclass
+class Features:
+    """What the networks make of one minibatch, each applied once, and what the update computes from that.
+
+    Those of parts that the configuration leaves out are never set, and asking for them is an error.
+
+    Attributes:
+        z, z_next: φ_s of both ends (E, B, D).
+        action: φ_a (E, B, A'), or the raw actions.
+        predicted: the forward model's z'.
+        inverse, step_logits, momentum: outputs of the inverse model, of f_k, and of the momentum encoder for s'.
+        keys: h of ``momentum``.
+        log_reachable, log_found: log l among the minibatch's futures, for L_reach, and among all keys, for w (E, B).
+        retrieved: the share of tuples whose own future comes first (E,).
+        surprise, entropy, reward: r_E, r_H and r (E, B).
+        w, unclipped: 1 - l, and the sample weights before their bounds (E, B).
+    """
+
+    z: Tensor
+    z_next: Tensor
+    action: Tensor
+    predicted: Tensor
+    inverse: Tensor = field(init=False)
+    step_logits: Tensor = field(init=False)
+    momentum: Tensor = field(init=False)
+    keys: Tensor = field(init=False)
+    log_reachable: Tensor = field(init=False)
+    log_found: Tensor = field(init=False)
+    retrieved: Tensor = field(init=False)
+    surprise: Tensor = field(init=False)
+    entropy: Tensor = field(init=False)
+    reward: Tensor = field(init=False)
+    w: Tensor = field(init=False)
+    unclipped: Tensor = field(init=False)
+
+    def detached(self) -> Features:
+        """The same values without gradient."""
+        found = copy.copy(self)
+        for name, value in vars(self).items():
+            setattr(found, name, value.detach())
+        return found
+
+
+def features_of(batch: Batch) -> Features:
+    """Those that ``belief_loss``, or ``reward``, left with a minibatch."""
+    assert isinstance(batch.kept, Features)
+    return batch.kept
+
+
+class CUDC(MovingHorizon):
     """Rewards state-action entropy and surprise in a learned space, and looks further ahead once the future is reachable.
 
     Departs from the paper's printed equations in the discount, which is γ^k as in the code base that it extends (``td_discount``),
@@ -132,20 +181,11 @@ class CUDC(DDPG):
         "quadruped": {"alpha": 1e-4, "beta": 1e-2, "clip_low": 0.2, "clip_high": 1.0, "c_w": 0.02},
         "jaco": {"alpha": 100.0, "beta": 0.0, "clip_low": 0.9, "clip_high": 1.0, "c_w": 0.01},
     }
-    moot_in_pilot = frozenset({"c_w", "c_r", "c_e", "c_k", "patience", "min_dwell", "threshold_dwell", "normal_std", "normal_steps"})
     family = "curiosity and entropy"
     citation = "Sun, Qian, Miao 2024"
 
-    @classmethod
-    def threshold(cls, config: CUDCConfig) -> str | None:
-        return _THRESHOLDS[config.k_rule] if config.k_rule in {"reward", "error"} else None
-
     @property
-    def max_horizon(self) -> int:
-        return int(self.config.k_max)
-
-    @property
-    def nearest(self) -> int | None:
+    def min_horizon(self) -> int | None:
         return int(self.config.horizon) if self.config.inverse_k_batch == "mixed" else None
 
     def check(self) -> None:
@@ -155,7 +195,7 @@ class CUDC(DDPG):
             ValueError: says which.
         """
         config = self.config
-        wanted = self.threshold(config)
+        wanted = self.measured_by_pilot(config)
         problems = {
             f"k_max={config.k_max} is below the first horizon {config.horizon}": config.k_max < config.horizon,
             f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}": config.entropy
@@ -179,7 +219,6 @@ class CUDC(DDPG):
         width = config.width
         s = self.space.observation if config.encoder == "none" else config.feature_dim
         a = config.action_feature_dim if config.action_encoder else self.space.action
-        self.horizons = config.k_max - config.horizon + 1  # |K|
         self.state_encoder = self._state_encoder(random)
         trained: list[Trained] = [self.state_encoder]
         if config.action_encoder:
@@ -205,16 +244,11 @@ class CUDC(DDPG):
             self.momentum_encoder = make_target(self.state_encoder, self._state_encoder(random))
         if config.reach:
             self.momentum_projection = make_target(self.projection, self._projection(random, s))
-        if config.k_rule in {"uniform", "normal"}:
-            self.random["k"] = MemberRandom(self.seeds, "horizon", self.device)
+        self.build_horizon(members)
         device = self.device
-        self.register_buffer("in_a_row", torch.zeros(members, dtype=torch.int64, device=device))
-        self.register_buffer("last_change", torch.zeros(members, dtype=torch.int64, device=device))
         older = max((config.keys or 0) - config.batch_size, 0) if config.reach else 0
         self.register_buffer("older_keys", torch.zeros(members, older, config.projection_dim, device=device))
         self.register_buffer("keys_seen", torch.zeros((), dtype=torch.int64, device=device))
-        # One row for each possible increment: number of the update, p and the signal's mean at that moment.
-        self.register_buffer("increments", torch.full((members, self.horizons, 3), -1.0, device=device))
         self.register_buffer("probe", torch.zeros(members, config.batch_size, self.space.observation, device=device))
         return trained
 
@@ -238,7 +272,7 @@ class CUDC(DDPG):
 
     # Belief: dynamics in the learned space, and reachability
 
-    def features(self, batch: Batch) -> dict[str, Tensor]:
+    def features(self, batch: Batch) -> Features:
         """Everything that losses, weights and reward are functions of, each network applied once."""
         config, size = self.config, batch.observation.shape[1]
         states = [batch.observation, batch.next_observation]
@@ -251,52 +285,52 @@ class CUDC(DDPG):
         k = k[:, None].expand(-1, size, -1)
         z_pair = torch.cat([z, z_next], dim=-1)
         predicted = self.forward_model(torch.cat([z, action, k], dim=-1))
-        found = {"z": z, "z_next": z_next, "action": action, "predicted": predicted}
+        found = Features(z, z_next, action, predicted)
         if config.inverse != "none":
-            found["inverse"] = self.inverse_model(torch.cat([z_pair, k], dim=-1) if config.inverse == "features" else z_pair)
+            found.inverse = self.inverse_model(torch.cat([z_pair, k], dim=-1) if config.inverse == "features" else z_pair)
         if config.step_model:
-            found["step_logits"] = self.step_model(torch.cat([z, nearer[0]], dim=-1) if nearer else z_pair)
+            found.step_logits = self.step_model(torch.cat([z, nearer[0]], dim=-1) if nearer else z_pair)
         if self.has_momentum:
             with torch.no_grad():
-                found["momentum"] = self.momentum_encoder(batch.next_observation)
+                found.momentum = self.momentum_encoder(batch.next_observation)
         if not config.reach:
             return found
         with torch.no_grad():
-            keys = self.momentum_projection(found["momentum"])
+            keys = self.momentum_projection(found.momentum)
         queries = self.projection(predicted)
         # S_ij = q_iᵀ W c_j: row i ranks every future of the minibatch as the future of tuple i (paper, eq. of l_i).
         logits = torch.bmm(torch.bmm(queries, self.similarity), keys.transpose(1, 2)) / config.temperature
         own, all_keys = logits.diagonal(dim1=1, dim2=2), logits.logsumexp(-1)
-        found["log_reachable"] = own - all_keys
+        found.log_reachable = own - all_keys
         with torch.no_grad():
-            found["keys"] = keys
+            found.keys = keys
             if self.older_keys.shape[1]:
                 older = torch.bmm(torch.bmm(queries, self.similarity), self.older_keys.transpose(1, 2)) / config.temperature
                 there = torch.arange(older.shape[-1], device=older.device) < self.keys_seen
                 all_keys = torch.logaddexp(all_keys, older.masked_fill(~there, -torch.inf).logsumexp(-1))
-            found["log_found"] = own - all_keys
+            found.log_found = own - all_keys
         if batch.measure:
             label = torch.arange(size, device=logits.device)
-            found["retrieved"] = (logits.detach().argmax(-1) == label).float().mean(1)
+            found.retrieved = (logits.detach().argmax(-1) == label).float().mean(1)
         return found
 
     def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         f, config = self.features(batch), self.config
-        state_target = f["momentum"] if config.state_target == "momentum" else f["z_next"]
+        state_target = f.momentum if config.state_target == "momentum" else f.z_next
         if config.state_target == "stopgrad":
             state_target = state_target.detach()
-        losses = {"loss_forward": (state_target - f["predicted"]).norm(dim=-1).mean(1)}
+        losses = {"loss_forward": (state_target - f.predicted).norm(dim=-1).mean(1)}
         if config.inverse != "none":
-            features = f["action"] if config.action_target == "live" else f["action"].detach()
+            features = f.action if config.action_target == "live" else f.action.detach()
             target = features if config.inverse == "features" else batch.action
-            losses["loss_inverse"] = (target - f["inverse"]).norm(dim=-1).mean(1)
+            losses["loss_inverse"] = (target - f.inverse).norm(dim=-1).mean(1)
         if config.step_model:
             k = batch.horizon[:, None].expand(-1, batch.action.shape[1]) if batch.nearer_horizon is None else batch.nearer_horizon
-            losses["loss_step"] = F.cross_entropy(f["step_logits"].transpose(1, 2), k - config.horizon, reduction="none").mean(1)
+            losses["loss_step"] = F.cross_entropy(f.step_logits.transpose(1, 2), k - config.horizon, reduction="none").mean(1)
         if config.reach:
-            losses["loss_reach"] = -f["log_reachable"].mean(1)
+            losses["loss_reach"] = -f.log_reachable.mean(1)
         # Algorithm 1 computes w and r before the module's update: these are the values of this forward pass.
-        batch.kept = {name: value.detach() for name, value in f.items()}
+        batch.kept = f.detached()
         total = sum(weight * losses[name] for name, weight in zip(_LOSSES, config.loss_weights, strict=True) if name in losses)
         return total, {name: loss.detach() for name, loss in losses.items()}
 
@@ -308,72 +342,43 @@ class CUDC(DDPG):
     def reward(self, batch: Batch) -> Tensor:
         if self.config.reward_after_update:
             batch.kept = self.features(batch)
-        f, config = batch.kept, self.config
-        f["surprise"] = (f["z_next"] - f["predicted"]).norm(dim=-1)
+        f, config = features_of(batch), self.config
+        f.surprise = (f.z_next - f.predicted).norm(dim=-1)
         terms = []
         if config.entropy:
-            points = torch.cat([f["z"], f["action"]], dim=-1) if config.action_encoder else f["z"]
-            f["entropy"] = neighbour_distances(points, config.neighbours, config.knn_exclude_self).mean(-1).log1p()
-            terms.append(f["entropy"])
+            points = torch.cat([f.z, f.action], dim=-1) if config.action_encoder else f.z
+            f.entropy = neighbour_distances(points, config.neighbours, config.knn_exclude_self).mean(-1).log1p()
+            terms.append(f.entropy)
         if config.prediction_error != "none":
-            terms.append(config.alpha * f["surprise"] if config.prediction_error == "linear" else f["surprise"].log1p())
-        f["reward"] = sum(terms) + torch.full_like(f["surprise"], config.beta)
-        return f["reward"]
+            terms.append(config.alpha * f.surprise if config.prediction_error == "linear" else f.surprise.log1p())
+        f.reward = sum(terms) + torch.full_like(f.surprise, config.beta)
+        return f.reward
 
     def sample_weight(self, batch: Batch) -> Tensor | None:
         if not self.config.reach:
             return None
+        f = features_of(batch)
         # w = 1 - l, in the form that keeps its digits when l is close to 1.
-        w = batch.kept["w"] = -torch.expm1(batch.kept["log_found"])
+        w = f.w = -torch.expm1(f.log_found)
         if not self.config.regularize:
             return None
         if self.config.weight_mode == "mean_normalised":
             w = w / w.mean(1, keepdim=True)
-        batch.kept["unclipped"] = w
+        f.unclipped = w
         return w.clamp(self.config.clip_low, self.config.clip_high)
 
     def after_belief(self, batch: Batch) -> dict[str, Tensor]:
-        f, config = batch.kept, self.config
+        f, config = features_of(batch), self.config
         measured = self._measure(batch) if batch.measure else {}
         if config.reach and (size := self.older_keys.shape[1]):
-            keys = f["keys"][:, :size]
+            keys = f.keys[:, :size]
             rows = (self.keys_seen + torch.arange(keys.shape[1], device=self.device)) % size
             self.older_keys[:, rows] = keys
             self.keys_seen.add_(keys.shape[1])
-        if config.k_rule in {"uniform", "normal"}:
-            self.k.copy_(self._drawn_horizon())
-        elif config.k_rule != "weight" or config.reach:
-            f["signal"] = f[{"weight": "w", "reward": "reward", "error": "surprise"}[config.k_rule]]
-            low = (f["signal"] < getattr(config, _THRESHOLDS[config.k_rule])).float().mean(1)
-            self._adapt_horizon(low, f["signal"].mean(1))
-            if batch.measure:
-                measured["p"] = low
-        return measured
-
-    def _adapt_horizon(self, low: Tensor, mean: Tensor) -> None:
-        """k <- k + 1 where p > C_k (paper, Algorithm 1); tensors only, so that nothing waits for the device."""
-        config = self.config
-        self.in_a_row.copy_(torch.where(low > config.c_k, self.in_a_row + 1, 0))
-        dwell = max(config.min_dwell, config.threshold_dwell if self.threshold(config) else 0)
-        dwelt = (self.updates - self.last_change) * self.space.update_every >= dwell
-        grow = (self.in_a_row >= config.patience) & dwelt & (self.k < config.k_max)
-        row = (self.k - config.horizon)[:, None, None].expand(-1, 1, 3)
-        seen = torch.stack([self.updates.float().expand_as(mean), low, mean], dim=-1)[:, None]
-        self.increments.scatter_(1, row, torch.where(grow[:, None, None], seen, self.increments.gather(1, row)))
-        self.last_change.copy_(torch.where(grow, self.updates, self.last_change))
-        self.in_a_row.masked_fill_(grow, 0)
-        self.k += grow
-
-    def _drawn_horizon(self) -> Tensor:
-        """k of the next minibatch, one for each member: uniform on K, or round(N(μ_t, σ²)) kept inside K."""
-        config = self.config
-        if config.k_rule == "uniform":
-            drawn = config.horizon + (self.random["k"].uniform() * self.horizons).long()
-        else:
-            steps = self.space.seed_steps + (self.updates + 1) * self.space.update_every
-            mean = config.horizon + (config.k_max - config.horizon) * steps / config.normal_steps
-            drawn = (mean + config.normal_std * self.random["k"].normal()).round().long()
-        return drawn.clamp(config.horizon, config.k_max)
+        # Without the module there is no w; k has no room to grow then.
+        batch.signal = getattr(f, _SIGNALS.get(config.k_rule, ""), None)
+        p = self.move_horizon(batch.signal)
+        return measured if p is None or not batch.measure else measured | {"p": p}
 
     def update_targets(self) -> None:
         if self.has_momentum:
@@ -381,58 +386,32 @@ class CUDC(DDPG):
         if self.config.reach:
             soft_update(self.projection, self.momentum_projection, self.config.momentum_tau)
 
-    in_a_row: Tensor
-    last_change: Tensor
     older_keys: Tensor
     keys_seen: Tensor
-    increments: Tensor
     probe: Tensor
 
     # Diagnostics
 
     def _measure(self, batch: Batch) -> dict[str, Tensor]:
-        f, config = batch.kept, self.config
+        f, config = features_of(batch), self.config
         if not self.probe.any():
             self.probe.copy_(batch.observation)
-        found = {"surprise": f["surprise"].mean(1), "step_norm": (f["z_next"] - f["z"]).norm(dim=-1).mean(1)}
+        found = {"surprise": f.surprise.mean(1), "step_norm": (f.z_next - f.z).norm(dim=-1).mean(1)}
         # 1 and above: the forward model is no better than the prediction that nothing changes.
         found["error_over_persistence"] = found["surprise"] / found["step_norm"]
         if (probed := self.represent(self.probe)) is not None:
-            found |= {"effective_rank": effective_rank(probed), "state_spread": spread(f["z"])}
+            found |= {"effective_rank": effective_rank(probed), "state_spread": spread(f.z)}
         if config.action_encoder:
-            found |= {"action_norm": f["action"].norm(dim=-1).mean(1), "action_spread": spread(f["action"])}
+            found |= {"action_norm": f.action.norm(dim=-1).mean(1), "action_spread": spread(f.action)}
             if config.entropy:
-                found["action_share"] = action_share(f["z"], f["action"], config.neighbours)
+                found["action_share"] = action_share(f.z, f.action, config.neighbours)
         if config.entropy:
-            found["entropy"] = f["entropy"].mean(1)
+            found["entropy"] = f.entropy.mean(1)
             if config.prediction_error == "linear":
                 found["surprise_share"] = config.alpha * found["surprise"] / found["entropy"]
         if config.reach:
-            quantiles = f["w"].quantile(torch.tensor(list(_QUANTILES.values()), device=self.device), dim=1)
-            found |= dict(zip(_QUANTILES, quantiles, strict=True)) | {"w_mean": f["w"].mean(1), "retrieved": f["retrieved"]}
+            quantiles = f.w.quantile(torch.tensor(list(_QUANTILES.values()), device=self.device), dim=1)
+            found |= dict(zip(_QUANTILES, quantiles, strict=True)) | {"w_mean": f.w.mean(1), "retrieved": f.retrieved}
         if config.regularize:
-            found["w_clipped"] = (f["unclipped"] < config.clip_low).float().mean(1)
-        return found
-
-    def summary(self) -> list[dict[str, Any]]:
-        """Every increment of k as (step, old k, new k, p, mean of what the rule looks at), and whether the schedule is suspect.
-
-        Suspect: k grew in the first twentieth of the run, or reached its bound within a tenth of the run of its first growth (50K and
-        100K of the paper's 1M environment steps). The criterion looks at one minibatch, so a schedule this early says more about the
-        thresholds than about reachability.
-        """
-        found = []
-        looked_at = {"reward": "mean_reward", "error": "mean_error"}.get(self.config.k_rule, "mean_w")
-        for member in self.increments.tolist():
-            changes = []
-            for row, (update, p, mean) in enumerate(member):
-                if update >= 0:
-                    step = self.space.seed_steps + int(update) * self.space.update_every
-                    k = self.config.horizon + row
-                    changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, looked_at: mean})
-            steps = [change["step"] for change in changes]
-            at_bound = len(steps) == self.horizons - 1 and len(steps) > 1
-            starts, ends = suspect_limits(self.space.steps)
-            early = bool(steps) and (steps[0] < starts or (at_bound and steps[-1] - steps[0] <= ends))
-            found.append({"k_increments": changes, "k_schedule_suspect": early})
+            found["w_clipped"] = (f.unclipped < config.clip_low).float().mean(1)
         return found

@@ -50,7 +50,7 @@ class DDPGConfig(Config):
     td_discount: Literal["gamma_pow_k", "gamma"] = "gamma_pow_k"
 
 
-class DDPG(Learner, Collector):
+class DDPG(Collector, Learner):
     """A stack of E agents that maximise an intrinsic reward.
 
     The critic's target is r + γ^k min_j Q̄_j(s', a') with a' from the online actor (there is no target actor); the actor maximises
@@ -60,8 +60,7 @@ class DDPG(Learner, Collector):
     config_class: ClassVar[type] = DDPGConfig
 
     def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        Learner.__init__(self)
-        Collector.__init__(self, space, config, seeds, device)
+        super().__init__(space, config, seeds, device)
         # A method may add its own.
         self.random = {
             "act": MemberRandom(seeds, "act", device),

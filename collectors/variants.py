@@ -8,7 +8,7 @@ for one setting are one class: ``cudc-reach`` is ``cudc-no-regularize``, ``cudc-
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from cudc_bench.learning.networks import MemberRandom, Trained
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import PositiveInt
+from cudc_bench.settings.config import WITH_STEPS, PositiveInt
 
 from .apt import APT, APTConfig
 from .cudc import CUDC
@@ -218,7 +218,7 @@ class APTScheduleConfig(APTConfig):
         k_steps: environment steps at which k grows by one; those of CUDC on Walker, read off the paper's figure.
     """
 
-    k_steps: tuple[PositiveInt, ...] = (450_000, 650_000, 1_050_000)
+    k_steps: tuple[PositiveInt, ...] = field(default=(450_000, 650_000, 1_050_000), metadata=WITH_STEPS)
 
 
 class APTSchedule(APT):

@@ -21,7 +21,7 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
-from cudc_bench.settings.profiles import PROFILES
+from cudc_bench.settings.profiles import PROFILES, schedules
 
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 _LARGEST = 10**10  # of a whole number: beyond any run (see ``cudc_bench.settings.config``)
@@ -210,14 +210,17 @@ def profiles() -> str:
         ("collect", [_collect_config(), *configurations("collectors")]),
         ("evaluate", [EvaluateConfig, *configurations("evaluators")]),
     ):
-        names = dict.fromkeys(name for one in PROFILES.values() for name in getattr(one, stage))
+        profiles = [dict(getattr(one, stage)) for one in PROFILES.values()]
+        for profile in profiles if stage == "collect" else ():
+            profile |= {name: value for config in configs for name, value in schedules(config, profile).items()}
+        names = dict.fromkeys(name for one in (*(getattr(profile, stage) for profile in PROFILES.values()), *profiles) for name in one)
         defaults: dict[str, set[str]] = {}
         for config in configs:
             for field in dataclasses.fields(config):
                 defaults.setdefault(field.name, set()).add(default_text(field.default))
         rows = []
         for name in names:
-            values = [getattr(one, stage).get(name) for one in PROFILES.values()]
+            values = [one.get(name) for one in profiles]
             own = ", ".join(sorted(defaults.get(name, set())))
             rows.append((f"`{name}`", *(own if value is None else default_text(value) for value in values)))
         text += f"\n### Values for `{stage}`\n\n" + table(("hyperparameter", *(f"`{name}`" for name in PROFILES)), rows)

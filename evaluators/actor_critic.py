@@ -22,12 +22,11 @@ from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, Posit
 from .base import Evaluator
 
 
-class OfflineLearner(Learner, Evaluator):
+class OfflineLearner(Evaluator, Learner):
     """Networks, optimisers and streams of a stack of offline agents, and a count of their updates."""
 
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        Learner.__init__(self)
-        Evaluator.__init__(self, observation, action, config, seeds, device)
+        super().__init__(observation, action, config, seeds, device)
         self.observation, self.action = observation, action
         self.random["noise"] = MemberRandom(seeds, "update", device)
         self.updates = 0

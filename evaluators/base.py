@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.learner import MemberStack
 from cudc_bench.settings.config import build
 
 
-class Evaluator(ABC):
+class Evaluator(MemberStack):
     """A stack of E independent offline agents, each with its own seed and data.
 
-    Class attributes:
-        config_class: the frozen dataclass of hyperparameters; its defaults are those of the code that the class names.
-        values: hyperparameters that make a named variant out of the algorithm that it is a subclass of.
-        citation: the paper, for lists and tables.
+    Class attributes, beside those of every stack:
         summary: what it is, in a few words, for lists.
         wants_next_action: whether batches must hold the action after s'; transitions that end an episode are then never drawn.
     """
 
-    config_class: ClassVar[type]
-    values: ClassVar[Mapping[str, Any]] = {}
-    citation: ClassVar[str]
     summary: ClassVar[str] = ""
     wants_next_action: ClassVar[bool] = False
 
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         """Build the agents for observations (S,) and actions (A,)."""
-        self.config = config
-        self.seeds = tuple(seeds)
-        self.device = torch.device(device)
+        super().__init__(config, seeds, device)
 
     @classmethod
     def configure(cls, profile: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Any:
@@ -44,10 +36,6 @@ class Evaluator(ABC):
             UsageError: a value is of the wrong type or out of range.
         """
         return build(cls.config_class, profile or {}, cls.values, settings or {})
-
-    @abstractmethod
-    def update(self, batch: Batch) -> dict[str, Tensor]:
-        """One gradient step on a minibatch of one-step transitions; metrics are (E,) tensors when ``batch.measure`` is set."""
 
     @property
     @abstractmethod
@@ -59,11 +47,3 @@ class Evaluator(ABC):
         """Deterministic actions (E, n, A) in [-1, 1] for observations (E, n, S)."""
         actions: Tensor = self.policy(observation)
         return actions
-
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that ``update`` changes."""
-
-    @abstractmethod
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue exactly where ``state_dict`` was taken."""

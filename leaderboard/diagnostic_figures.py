@@ -82,7 +82,7 @@ def _draw_panels(comparison: Comparison, what: str, titles: Mapping[str, str]) -
     """
     names = [name for name in titles if comparison.having([name])]
     shown = _looks(comparison, comparison.having(names))
-    grew = {(run.manifest.method, growth.step) for run in comparison.runs for growth in run.manifest.k_growth}
+    grew = {(run.manifest.method, growth.step) for run in comparison.runs for growth in run.schedule.growth}
     marks = sorted((method, step) for method, step in grew if method in shown)
     marks = marks if len(marks) <= _MARKS else []
     behind = f"{seeds_text(comparison.seeds(names))}{', dotted: k grew' if marks else ''}"

@@ -5,33 +5,29 @@ A figure compares methods on one domain at one profile with the same settings ch
 
 from __future__ import annotations
 
-import json
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Any
 
-from cudc_bench.artefacts.ids import dataset_path
+from cudc_bench.artefacts.k_schedule import KSchedule, k_schedule
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.records import settings_text
-from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_regular
+from cudc_bench.data.diagnostics import diagnostics_path as diagnostics_path
+from cudc_bench.data.diagnostics import read_measures
+from cudc_bench.errors import UsageError
 from cudc_bench.text import plain
 
 from .chosen import choose
 from .table import METHOD_ORDER, differing, ordered, slug, span
 
-FILE = "diagnostics.jsonl"
 LOSSES = {"loss_forward": "forward", "loss_inverse": "inverse", "loss_step": "step", "loss_reach": "contrastive"}
 REPRESENTATION = {
     "error_over_persistence": "error over persistence", "effective_rank": "effective rank of z", "state_spread": "spread of z",
     "action_share": "actions' share of distances",
 }  # fmt: skip
 _NUMBERS = ("k", *LOSSES, *REPRESENTATION, "coverage_cells", "coverage_entropy")
-_LARGEST_STEP, _LARGEST = 10**9, 1e30  # Above any real one; larger ones would overflow sums and axes.
 
 
 @dataclass(frozen=True)
@@ -57,10 +53,15 @@ class Run:
         return None if found is None else found[max(found)]
 
     @property
+    def schedule(self) -> KSchedule:
+        """When k grew."""
+        return k_schedule(self.manifest.diagnostics)
+
+    @property
     def k(self) -> float | None:
         """k at the end; None for a method that has none."""
         # The last line's k is that of its minibatch, from before this update's test.
-        growth = self.manifest.k_growth
+        growth = self.schedule.growth
         return growth[-1].new_k if growth else self.last("k")
 
 
@@ -112,42 +113,8 @@ class DiagnosticsReport:
 
 
 def read_diagnostics(dataset_id: str) -> tuple[dict[str, dict[int, float]], int]:
-    """The measures of a dataset's diagnostics, as :class:`Run` has them, and the step of the last line.
-
-    Raises:
-        UsageError: the dataset has none.
-        RunError: the file cannot be read, or a line of it is damaged.
-    """
-    path = diagnostics_path(dataset_id)
-    values: dict[str, dict[int, float]] = defaultdict(dict)
-    last, number = 0, 0
-    try:
-        check_regular(path)
-        with path.open("rb") as file:
-            for line in file:
-                number += 1
-                row = _row(line)
-                step = row["step"]
-                if type(step) is not int or not last < step <= _LARGEST_STEP:
-                    raise ValueError("'step' is not a number of steps beyond that of the line before")
-                last = step
-                for name in _NUMBERS:
-                    if (value := _number(row, name)) is not None:
-                        values[name][step] = value
-    except FileNotFoundError:
-        raise UsageError(f"'{dataset_id}' has no diagnostics: there is no file {path}.") from None
-    except OSError as error:
-        raise RunError(f"cannot read the diagnostics {path}: {error.strerror}.") from None
-    except ValueError as error:
-        raise RunError(f"the diagnostics of '{dataset_id}' are damaged ({path}, line {number}): {plain(str(error))}.") from None
-    if not number:
-        raise RunError(f"the diagnostics of '{dataset_id}' are damaged ({path}, line 1): the file is empty.")
-    return dict(values), last
-
-
-def diagnostics_path(dataset_id: str) -> Path:
-    """The diagnostics of a dataset, whether there are any or not."""
-    return dataset_path(dataset_id) / FILE
+    """The measures of a dataset's diagnostics, as :class:`Run` has them, and the step of the last line; see ``read_measures``."""
+    return read_measures(dataset_id, _NUMBERS)
 
 
 def compare_stored(
@@ -227,29 +194,6 @@ def _lacks(one: str, _: Manifest) -> str | None:
 def group_of(manifest: Manifest) -> str:
     """The profile of a collection and whatever differs from it, as ``Record.group`` names what was collected so."""
     return f"{manifest.profile} (collect: {settings_text(manifest.overrides)})" if manifest.overrides else manifest.profile
-
-
-def _row(line: bytes) -> dict[str, Any]:
-    try:
-        row = json.loads(line.decode("utf-8"))
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    if not isinstance(row, dict) or "step" not in row:
-        raise ValueError("it is not a JSON object with 'step'")
-    return row
-
-
-def _number(row: dict[str, Any], name: str) -> float | None:
-    value = row.get(name)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"'{name}' is not a number")
-    if not isinstance(value, int) and not math.isfinite(value):
-        return None
-    if abs(value) > _LARGEST:
-        raise ValueError(f"'{name}' is beyond {_LARGEST:g}")
-    return float(value)
 
 
 def _doubts(comparison: Comparison) -> Iterator[str]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.data.descriptors import DescriptorCoverage, Visits
+from cudc_bench.data.measure import NEIGHBOUR, STATS, EvenlySpaced, mean_log_distance
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.envs import Domain, check_domain, reward_function
 from cudc_bench.errors import UsageError
@@ -32,11 +33,6 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 QUANTILES = (0.25, 0.5, 0.75, 0.95)
 BINS = 50  # of the density of rewards, over [0, 1]
-POINTS = 20_000  # observations, evenly spaced in collection order, among which neighbours are sought
-NEIGHBOUR = 12
-SATURATED = 0.95
-_NEAREST = 1e-6  # a lower bound of distances, whose logarithm would be minus infinity between equal observations
-_BLOCK = 500  # rows of the matrix of distances at a time
 
 
 @dataclass(frozen=True)
@@ -181,8 +177,8 @@ def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advanc
     """One dataset's quality but for the particle entropy, and observations (n, S) for that."""
     relabeler, function = plugins.load("relabelers", domain.relabeler)(domain), reward_function(domain.name)
     visits = Visits(domain) if domain.descriptors else None
-    stride = math.ceil((manifest.steps + manifest.episodes) / POINTS)
-    points, rewards, actions, seen = [], [], [], 0
+    points = EvenlySpaced(manifest, STATS.points)
+    rewards, actions = [], []
     for episode in read_episodes(dataset_id, ("infos/physics", "actions", "observations")):
         # Row 0 of an episode is its reset, which no action led to.
         quantities = relabeler.quantities(episode["infos/physics"][1:], episode["actions"])
@@ -190,10 +186,7 @@ def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advanc
             visits.add(quantities)
         rewards.append(function(quantities))
         actions.append(episode["actions"])
-        observations = episode["observations"]
-        # A view would keep the whole episode.
-        points.append(observations[-seen % stride :: stride].copy())
-        seen += len(observations)
+        points.add(episode["observations"])
         advance(len(episode["actions"]))
     densities = {task: reward_density([one[:, index] for one in rewards]) for index, task in enumerate(domain.tasks)}
     together = np.concatenate(actions)
@@ -204,10 +197,10 @@ def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advanc
         coverage=None if visits is None else visits.coverage,
         particle_entropy=None,
         action_std=tuple(together.std(0, dtype=np.float64).tolist()),
-        action_saturated=float((np.abs(together) > SATURATED).mean()),
+        action_saturated=float(STATS.at_bound(together).mean()),
         action_correlation=action_correlation(actions),
     )
-    return quality, np.concatenate(points)
+    return quality, points.together()
 
 
 def reward_density(rewards: Sequence[Float64]) -> RewardDensity:
@@ -254,19 +247,5 @@ def particle_entropies(points: Sequence[Float32]) -> list[float | None]:
             continue
         scaled = ((one[:, varies] - mean[varies]) / spread[varies]).astype(np.float32)
         ball = size / 2 * math.log(math.pi) - gammaln(size / 2 + 1)
-        logs = np.log(_neighbour_distances(scaled).clip(min=_NEAREST)).mean(dtype=np.float64)
-        found.append(float(digamma(len(one)) - digamma(NEIGHBOUR) + ball + size * logs))
-    return found
-
-
-def _neighbour_distances(points: Float32) -> Float32:
-    """To the 12th-nearest other point (n,), by matrix products of a block of rows at a time."""
-    squares = (points**2).sum(1)
-    found = np.empty(len(points), np.float32)
-    for start in range(0, len(points), _BLOCK):
-        rows = slice(start, start + _BLOCK)
-        squared = squares[rows, None] + squares[None] - 2.0 * (points[rows] @ points.T)
-        # Each point is among its own neighbours, at a distance of 0 but for rounding.
-        squared[np.arange(len(squared)), np.arange(start, start + len(squared))] = np.inf
-        found[rows] = np.sqrt(np.partition(squared, NEIGHBOUR - 1, axis=1)[:, NEIGHBOUR - 1].clip(min=0.0))
+        found.append(float(digamma(len(one)) - digamma(NEIGHBOUR) + ball + size * mean_log_distance(scaled, STATS)))
     return found

@@ -259,12 +259,11 @@ def diagnostics_to_rich(comparison: Comparison) -> Group:
         shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
     for run in comparison.runs:
         cells, entropy = run.last("coverage_cells"), run.last("coverage_entropy")
-        # Only methods whose k can grow tell whether its schedule is suspect.
-        adapts = "k_schedule_suspect" in run.manifest.diagnostics
         row = (
             plain(run.manifest.method), str(run.manifest.seed), f"{run.manifest.steps:,}", "" if run.k is None else f"{run.k:g}",
-            "\n".join(map(str, run.manifest.k_growth)),
-            ("yes" if run.manifest.has_suspect_schedule else "no") if adapts else "",
+            "\n".join(map(str, run.schedule.growth)),
+            # Only methods whose k can grow tell whether its schedule is suspect.
+            {True: "yes", False: "no", None: ""}[run.schedule.suspect],
             "" if cells is None else f"{cells:,.0f}", "" if entropy is None else f"{entropy:.2f}",
             *("" if (value := run.last(name)) is None else f"{value:.3g}" for name in measured),
         )  # fmt: skip

@@ -18,10 +18,10 @@ from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, par
 from cudc_bench.artefacts.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
 from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.measure import Coverage, measure_coverage
 from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
-from cudc_bench.data.statistics import Coverage, measure_coverage
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import RunError, UsageError

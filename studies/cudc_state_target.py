@@ -16,9 +16,11 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from cudc_bench.artefacts.ids import DatasetId, dataset_path, default_id
+from cudc_bench.artefacts.ids import DatasetId, default_id
+from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.records import read_record
+from cudc_bench.data.diagnostics import diagnostics_path
 
 READINGS, SEEDS = ("cudc-stopgrad", "cudc-momentum", "cudc-live"), range(1, 6)
 LAST_QUARTER, LEAST_RANK = 0.75, 0.1
@@ -33,7 +35,7 @@ MEASURED = ("error_over_persistence", "effective_rank", "state_spread", "p", "w_
 def last_quarter(one: DatasetId, names: Iterable[str]) -> dict[str, float]:
     """Means of diagnostics over the last quarter of a dataset's run; a measure that it has not is absent."""
     steps = read_manifest(one).steps
-    lines = [json.loads(line) for line in (dataset_path(one) / "diagnostics.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in diagnostics_path(one).read_text().splitlines()]
     values = {name: [line[name] for line in lines if line["step"] > LAST_QUARTER * steps and name in line] for name in names}
     return {name: round(fmean(found), 4) for name, found in values.items() if found}
 
@@ -42,7 +44,7 @@ def row_of(method: str, seed: int) -> dict[str, Any]:
     """One run: where its k grew, and the means of its diagnostics over the last quarter."""
     one = default_id("walker", method, seed)
     manifest = read_manifest(one)
-    grew = {growth.new_k: growth.step / manifest.steps for growth in manifest.k_growth}
+    grew = {growth.new_k: growth.step / manifest.steps for growth in k_schedule(manifest.diagnostics).growth}
     return (
         {"method": method, "seed": seed, "feature_dim": manifest.hyperparameters["feature_dim"]}
         | last_quarter(one, MEASURED)

@@ -33,7 +33,7 @@ from cudc_bench.cli import app as cli
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.leaderboard.incremental import LEDGER
 from cudc_bench.suites import scheduler
-from cudc_bench.suites.pool import JobWorker
+from cudc_bench.suites.pool import job_worker
 
 COLLECT = ["collect", "--set", "steps=3300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
 COMMANDS = {
@@ -268,7 +268,7 @@ def run(what: str, kills: int, base: Path, seed: int = 0) -> dict[str, Any]:
     needed.mkdir(parents=True)
     if what == "suite":
         # Its workers, too, are forked from what has imported everything.
-        scheduler.JobWorker = partial(JobWorker, context=multiprocessing.get_context("fork"))  # type: ignore[assignment, misc]
+        scheduler.job_worker = partial(job_worker, context=multiprocessing.get_context("fork"))  # type: ignore[assignment]
         (needed / "suite.toml").write_text(SUITE)
     if what in ("relabel", "evaluate"):
         shutil.copytree(base / "first", needed / "datasets")

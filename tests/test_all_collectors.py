@@ -87,7 +87,7 @@ def test_methods_differ_from_one_another(cli: Callable, datasets: Path) -> None:
         # Long enough for a scheduled k to have grown (at 1,350 steps), and for actions to have followed from that.
         kind = plugins.load("collectors", name)
         settings = {"steps": 1500} | ({"seed_steps": 1000, "update_every": 25} if kind.learns else {})
-        if (threshold := kind.threshold(kind.configure("walker"))) is not None:
+        if (threshold := kind.measured_by_pilot(kind.configure("walker"))) is not None:
             settings[threshold] = 0.5
         cudc_bench.collect(name, profile="smoke", settings=settings)
     manifests = {name: read_manifest(f"walker/{name}-v0") for name in names}

@@ -15,7 +15,7 @@ from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import UsageError
 from cudc_bench.settings.config import as_dict, build, config_hash, field_names
 from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones
-from cudc_bench.settings.profiles import PROFILES, Profile, resolve_device, resolve_profile
+from cudc_bench.settings.profiles import PROFILES, Profile, resolve_device, resolve_profile, schedules
 
 COLLECTORS = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
 EVALUATORS = {name: plugins.load("evaluators", name) for name in plugins.names("evaluators")}
@@ -60,7 +60,7 @@ def test_every_profile_builds_every_collector(profile: Profile, name: str) -> No
     loop = build(CollectConfig, profile.collect)
     for domain in DOMAINS.values():
         config = kind.configure(domain.name, profile.collect)
-        if (threshold := kind.threshold(config)) is not None:
+        if (threshold := kind.measured_by_pilot(config)) is not None:
             config = kind.configure(domain.name, profile.collect, {threshold: 0.5})
         assert len(config_hash(as_dict(loop, config))) == 16
         if profile.name == "paper":
@@ -114,6 +114,18 @@ def test_the_defaults_are_the_papers() -> None:
     for config, values in expected.items():
         found = dataclasses.asdict(config())
         assert {name: found[name] for name in values} == values
+
+
+@pytest.mark.parametrize(("name", "share"), [("paper", 1.0), ("cpu", 0.4), ("demo", 0.1), ("smoke", 0.003)])
+def test_schedules_that_count_steps_follow_the_length_of_a_profiles_runs(name: str, share: float) -> None:
+    values = PROFILES[name].collect
+    cudc, control = COLLECTORS["cudc"], COLLECTORS["apt-ksched"]
+    assert schedules(cudc.config_class, values) == {"threshold_dwell": 150_000 * share, "normal_steps": 1_000_000 * share}
+    assert control.configure("walker", values).k_steps == pytest.approx([450_000 * share, 650_000 * share, 1_050_000 * share])
+    # A run of another length keeps its profile's, as it keeps all that its settings do not name.
+    assert cudc.configure("walker", values, {"steps": 7}).normal_steps == 1_000_000 * share
+    assert cudc.configure("walker", values, {"normal_steps": 7}).normal_steps == 7
+    assert schedules(COLLECTORS["icm"].config_class, values) == {}
 
 
 def test_smaller_profiles_treat_every_method_alike() -> None:

@@ -16,9 +16,9 @@ from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, Import, Manifest, So
 from cudc_bench.artefacts.provenance import command_line, stamp
 from cudc_bench.artefacts.records import Name
 from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.measure import measure_coverage
 from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.staging import publish, staging
-from cudc_bench.data.statistics import measure_coverage
 from cudc_bench.data.writer import Episode, write_episodes
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.errors import RunError, UsageError

@@ -16,6 +16,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.artefacts.manifest import Manifest, check_free, exists, fingerprint, read_manifest
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
+from cudc_bench.data.diagnostics import DIAGNOSTICS
 from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.staging import checkpoints_path, is_untidy, publish, staging, tidy
 from cudc_bench.data.writer import write_episodes
@@ -33,7 +34,7 @@ from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
 from cudc_bench.stages import Planned
 
-from .journal import DIAGNOSTICS, Journal
+from .journal import Journal
 from .loop import run_collection
 from .setting import NoThresholdError, Setting, say_whose_values, settle
 

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from cudc_bench.data.diagnostics import DIAGNOSTICS, to_line
 from cudc_bench.data.writer import Episode, EpisodeShards
 from cudc_bench.envs.simulator import Float32, Float64
 from cudc_bench.errors import UnusableError
 from cudc_bench.execution.runlog import RunLog
 from cudc_bench.files import sync
-
-DIAGNOSTICS = "diagnostics.jsonl"
 
 
 class Journal:
@@ -45,7 +44,7 @@ class Journal:
         The speed goes to the log alone: the file is the same in every such run.
         """
         self.last = row
-        self._diagnostics().write(json.dumps(row).encode() + b"\n")
+        self._diagnostics().write(to_line(row))
         self._tell(row | {"steps_per_second": steps_per_second})
 
     def episodes(self) -> Iterator[Episode]:

@@ -131,7 +131,7 @@ class _Run(Interaction):
     def draw(self, measure: bool) -> Batch:
         assert self.replay is not None
         collector = self._collector
-        return self.replay.sample(collector.config.batch_size, collector.horizon, measure, collector.nearest)
+        return self.replay.sample(collector.config.batch_size, collector.horizon, measure, collector.min_horizon)
 
     def is_measured(self, step: int) -> bool:
         # The last update before a line.

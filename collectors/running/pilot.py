@@ -113,7 +113,8 @@ def _wanting(methods: Sequence[str] | None, domain: str, profile: Profile, setti
     """
     names = [plugins.check_name("collectors", name) for name in methods] if methods else plugins.names("collectors")
     kinds = {name: plugins.load("collectors", name) for name in names}
-    wanting = [name for name, kind in kinds.items() if kind.threshold(kind.configure(domain, profile.collect, settings)) is not None]
+    configured = {name: (kind, kind.configure(domain, profile.collect, settings)) for name, kind in kinds.items()}
+    wanting = [name for name, (kind, config) in configured.items() if kind.measured_by_pilot(config) is not None]
     if methods and (others := [name for name in methods if name not in wanting]):
         raise UsageError(f"{', '.join(others)} needs no pilot; leave --method out for all that need one.")
     return wanting
@@ -162,7 +163,7 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
     """
     setting, device, first, last = stack.setting, stack.device, stack.first, stack.last
     kind, loop = setting.kind, replace(setting.loop, steps=last)
-    name = kind.threshold(setting.config)
+    name = kind.measured_by_pilot(setting.config)
     checkpoints = stack.checkpoints(execution.checkpoint_every)
     place = checkpoints.folder
     with locked(place.with_name(f"{place.name}.lock"), stack.name), open_log(None) as nowhere:
@@ -222,7 +223,8 @@ class _Medians:
         self.values: list[torch.Tensor] = []
 
     def after_update(self, batch: Batch) -> None:
-        self.values.append(batch.kept["signal"].median())
+        assert batch.signal is not None, "a method with such a hyperparameter says what it compares with it"
+        self.values.append(batch.signal.median())
 
     def state_dict(self) -> dict[str, Any]:
         return {"values": torch.stack(self.values) if self.values else torch.empty(0)}

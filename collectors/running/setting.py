@@ -80,7 +80,7 @@ def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, An
     check_settings(settings, [CollectConfig, kind.config_class])
     loop, config = build(CollectConfig, profile.collect, settings), kind.configure(domain, profile.collect, settings)
     plain = as_dict(build(CollectConfig, profile.collect), kind.configure(domain, profile.collect))
-    found, name = None, kind.threshold(config)
+    found, name = None, kind.measured_by_pilot(config)
     if name is not None and (piloting or getattr(config, name) is None):
         overrides = changed(as_dict(loop, config), plain)
         found = None if piloting else find_threshold(kind, method, domain, loop, config)

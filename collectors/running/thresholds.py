@@ -78,10 +78,10 @@ def settings_key(kind: Any, method: str, domain: str, loop: CollectConfig, confi
     """The hash of all settings that a pilot's threshold depends on.
 
     The length of the run is left out, so that a short run can use the threshold of a long one, and so are the threshold itself and what
-    has no effect while k stays (``moot_in_pilot``).
+    has no effect while k stays (``ignored_by_pilot``).
     """
-    moot = {"steps", "measure_every", kind.threshold(config), *kind.moot_in_pilot}
-    values = {name: value for name, value in as_dict(loop, config).items() if name not in moot}
+    ignored = {"steps", "measure_every", kind.measured_by_pilot(config), *kind.ignored_by_pilot}
+    values = {name: value for name, value in as_dict(loop, config).items() if name not in ignored}
     return config_hash({"method": method, "domain": domain, **values})
 
 

@@ -11,7 +11,7 @@ import hashlib
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_folder, check_regular
 
 KEY = "cudc_bench"
-_LARGEST_STEP = 10**12  # beyond any collection
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
 Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -75,26 +74,6 @@ class Import(BaseModel):
     sha256: _Sha256
     clipped: int = 0
     ignored: list[str] = []
-
-
-def suspect_limits(steps: int) -> tuple[int, int]:
-    """A schedule of k is suspect if k first grew before the one, or went from there to its bound within the other; environment steps.
-
-    Args:
-        steps: of the whole run; the limits are 50K and 100K for the paper's 1M.
-    """
-    return steps // 20, steps // 10
-
-
-class Growth(NamedTuple):
-    """One growth of the temporal distance k while a dataset was collected; ``step`` counts environment steps."""
-
-    step: int
-    old_k: int
-    new_k: int
-
-    def __str__(self) -> str:
-        return f"{self.old_k}→{self.new_k} at {self.step:,}"
 
 
 class Pilot(BaseModel):
@@ -204,29 +183,6 @@ class Manifest(BaseModel):
     def has_episode_seeds(self) -> bool:
         """Whether each episode's seed is known and stored, so that resetting with it gives the episode's first observation."""
         return self.imported is None
-
-    @property
-    def k_growth(self) -> list[Growth]:
-        """Every growth of k in the order of the method's summary; empty for methods that tell of none. What is malformed is left out."""
-        told = self.diagnostics.get("k_increments")
-        rows = [row for row in told if isinstance(row, dict)] if isinstance(told, list) else []
-        found = [Growth(*(cast(int, row.get(name)) for name in Growth._fields)) for row in rows]
-        return [one for one in found if all(type(value) is int and 0 <= value < _LARGEST_STEP for value in one)]
-
-    @property
-    def k_grew(self) -> str:
-        """The growth of k for people: ``"3→4 at 84,000, 4→5 at 120,008"``; empty where there is none."""
-        return ", ".join(map(str, self.k_growth))
-
-    @property
-    def has_suspect_schedule(self) -> bool:
-        """Whether the method itself found that k grew too early or too fast to mean anything."""
-        return self.diagnostics.get("k_schedule_suspect") is True
-
-    @property
-    def notes(self) -> list[str]:
-        """What whoever picks a dataset from a list should know of it, in a few words each."""
-        return ["k schedule suspect"] if self.has_suspect_schedule else []
 
     def describe(self) -> str:
         """What is there, in a few words, for messages: method, profile or source, seed, steps."""

@@ -86,6 +86,7 @@ def _datasets() -> Table:
     from rich.markup import escape
 
     from cudc_bench.artefacts.ids import dataset_path, datasets_root
+    from cudc_bench.artefacts.k_schedule import k_schedule
     from cudc_bench.artefacts.manifest import read_manifest, stored_ids
     from cudc_bench.errors import CudcBenchError
     from cudc_bench.text import plain
@@ -107,7 +108,7 @@ def _datasets() -> Table:
                 str(manifest.seed),
                 f"{manifest.steps:,}",
                 f"{size / 1e6:,.1f} MB",
-                ", ".join(manifest.notes),
+                k_schedule(manifest.diagnostics).note,
             )
         )
     # Most datasets have nothing to note, and a terminal has no room for an empty column.

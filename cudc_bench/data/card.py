@@ -12,8 +12,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from cudc_bench.artefacts.manifest import Manifest, suspect_limits
-from cudc_bench.data.statistics import NEIGHBOUR, SATURATED, Coverage, RewardStatistics
+from cudc_bench.artefacts.k_schedule import k_schedule, suspect_limits
+from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.data.measure import CARD, NEIGHBOUR, Coverage, RewardStatistics
 from cudc_bench.envs.domains import Domain, domain_title
 from cudc_bench.text import escape_markdown, plain, templates
 
@@ -58,7 +59,7 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
         descriptors=_descriptors(manifest, facts),
         number=_number,
         neighbour=NEIGHBOUR,
-        saturated=SATURATED,
+        saturated=CARD.saturated,
         observations=[(index, [_number(value) for value in row]) for index, row in enumerate(zip(*columns, strict=True))],
         license="mit" if manifest.imported is None else "unknown",
         size=Markup(next((name for limit, name in _SIZES if manifest.steps < limit), "100M<n<1B")),
@@ -75,7 +76,7 @@ def facts_of(manifest: Manifest) -> list[tuple[str, str]]:
         "method": manifest.label,
         "seed": str(manifest.seed),
         "steps": f"{manifest.steps:,} in {manifest.episodes:,} episodes",
-        "k grew": manifest.k_grew,
+        "k grew": str(k_schedule(manifest.diagnostics)),
         "profile": manifest.profile,
         "settings that differ": ", ".join(f"{name}={_value(value)}" for name, value in sorted(manifest.overrides.items())),
         "threshold": _threshold(manifest),
@@ -125,11 +126,12 @@ def _caveats(manifest: Manifest) -> list[str]:
         found.append("The seeds of its episodes are not known: they cannot be repeated from their resets, only step by step.")
     elif manifest.profile != "paper":
         found.append(f"It was collected at profile {manifest.profile}, which is smaller than the paper's setting.")
-    if manifest.has_suspect_schedule:
+    schedule = k_schedule(manifest.diagnostics)
+    if schedule.suspect:
         starts, ends = suspect_limits(manifest.steps)
         found.append(
             f"Its schedule of k is suspect: k grew before {starts:,} environment steps, or reached its bound within "
-            f"{ends:,} steps of its first growth{f' ({manifest.k_grew})' if manifest.k_grew else ''}. A schedule this early says "
+            f"{ends:,} steps of its first growth{f' ({schedule})' if schedule.growth else ''}. A schedule this early says "
             "more about the thresholds than about what was reachable."
         )
     found += [

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, parse_id
 from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.data.measure import shannon_entropy
 from cudc_bench.data.reader import read_episodes
-from cudc_bench.data.statistics import shannon_entropy
 from cudc_bench.envs import Domain, check_domain
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.progress import bars

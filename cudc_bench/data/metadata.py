@@ -9,7 +9,7 @@ from typing import Any
 from cudc_bench.artefacts.manifest import KEY, Manifest
 from cudc_bench.data.card import render_card
 from cudc_bench.data.layout import MAIN_FILE
-from cudc_bench.data.statistics import Coverage, measure_coverage, reward_statistics
+from cudc_bench.data.measure import Coverage, measure_coverage, reward_statistics
 
 
 def write_metadata(data: Path, manifest: Manifest, dataset_id: str, description: str, coverage: Coverage | None = None) -> None:

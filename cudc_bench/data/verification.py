@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -208,52 +208,65 @@ class _Verifier:
     def _check_file(self, file: h5py.File) -> str:
         """Groups, members, links and sizes; no array is read."""
         manifest, fields = self._manifest, self._manifest.fields
-        fail = partial(self._fail, "file")
-        names = [f"episode_{index}" for index in range(manifest.episodes)]
-        found = set(file.keys())
-        if found != set(names):
-            odd = sorted(found ^ set(names))[0]
-            fail(f"the manifest has {manifest.episodes:,} episodes, the file {len(found):,} groups ('{odd:.40}' is in one of them only)")
-        members = {name.partition("/")[0] for name in fields}
-        infos = {name.removeprefix("infos/") for name in fields if name.startswith("infos/")}
+        self._check_groups(file)
         linked = manifest.base is not None and manifest.base.linked
-        facts, steps = check_domain(manifest.domain), 0
+        own = [name for name in fields if not (linked and name.partition("/")[0] in LINKED)]
         # Nothing is followed before it is known where it leads.
         check_links(file, (), range(manifest.episodes))
-        own = [name for name in fields if not (linked and name.partition("/")[0] in LINKED)]
         if manifest.base is not None and linked:
             with h5py.File(dataset_path(manifest.base.id, self._root) / "data" / MAIN_FILE, "r") as base:
                 check_links(base, set(fields) - set(own), range(manifest.episodes))
-        for index, name in enumerate(names):
-            group = file[name]
-            if set(group.keys()) != members:
-                fail(f"it holds {', '.join(sorted(group.keys())):.99}, not {', '.join(sorted(members))}", index)
-            check_links(file, {name.partition("/")[0] for name in own}, [index])
-            for member in LINKED if linked else ():
-                self._check_link(group, member, index)
-            if infos and not isinstance(group["infos"], h5py.Group):
-                fail("its infos are no group", index)
-            if infos and set(group["infos"].keys()) != infos:
-                fail(f"its infos are {', '.join(sorted(group['infos'].keys())):.99}, not {', '.join(sorted(infos))}", index)
-            check_links(file, own, [index])
-            length = int(group.attrs["total_steps"])
-            last = index == manifest.episodes - 1
-            # Files of other origin hold episodes of any length up to the limit.
-            shortest = 1 if last or manifest.imported is not None else facts.episode_length
-            if not shortest <= length <= facts.episode_length:
-                fail(f"it has {length:,} steps; all but the last one have {facts.episode_length:,}", index)
-            if int(group.attrs["id"]) != index:
-                fail(f"it is stored as episode {int(group.attrs['id'])}", index)
-            numbers = episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1))
-            for key in numbers:
-                if np.ndim(group.attrs[key]) or np.asarray(group.attrs[key]).dtype.kind not in "iuf":
-                    fail(f"its attribute {key} is no number", index)
+        facts, steps = check_domain(manifest.domain), 0
+        for index in range(manifest.episodes):
+            group = file[f"episode_{index}"]
+            self._check_members(file, group, own, index)
+            length = self._check_attributes(group, facts, index)
             for field in fields:
                 self._check_shape(group, field, length, facts, index)
             steps += length
         if steps != manifest.steps:
-            fail(f"the manifest has {manifest.steps:,} steps, the file {steps:,}")
+            self._fail("file", f"the manifest has {manifest.steps:,} steps, the file {steps:,}")
         return f"{manifest.episodes:,} episodes of {len(fields)} fields, {steps:,} steps" + (", links into the base" if linked else "")
+
+    def _check_groups(self, file: h5py.File) -> None:
+        """A group for each episode, and nothing else."""
+        episodes, found = self._manifest.episodes, set(file.keys())
+        if odd := sorted(found ^ {f"episode_{index}" for index in range(episodes)}):
+            what = f"the manifest has {episodes:,} episodes, the file {len(found):,} groups ('{odd[0]:.40}' is in one of them only)"
+            self._fail("file", what)
+
+    def _check_members(self, file: h5py.File, group: h5py.Group, own: Sequence[str], index: int) -> None:
+        """An episode's arrays, by name, and where links among them lead; ``own`` are fields that must lie in the file itself."""
+        fields, base = self._manifest.fields, self._manifest.base
+        members = {name.partition("/")[0] for name in fields}
+        infos = {name.removeprefix("infos/") for name in fields if name.startswith("infos/")}
+        fail = partial(self._fail, "file", episode=index)
+        if set(group.keys()) != members:
+            fail(f"it holds {', '.join(sorted(group.keys())):.99}, not {', '.join(sorted(members))}")
+        check_links(file, {name.partition("/")[0] for name in own}, [index])
+        for member in LINKED if base is not None and base.linked else ():
+            self._check_link(group, member, index)
+        if infos and not isinstance(group["infos"], h5py.Group):
+            fail("its infos are no group")
+        if infos and set(group["infos"].keys()) != infos:
+            fail(f"its infos are {', '.join(sorted(group['infos'].keys())):.99}, not {', '.join(sorted(infos))}")
+        check_links(file, own, [index])
+
+    def _check_attributes(self, group: h5py.Group, facts: Domain, index: int) -> int:
+        """An episode's length, number and other attributes; the length."""
+        manifest, fail = self._manifest, partial(self._fail, "file", episode=index)
+        length = int(group.attrs["total_steps"])
+        last = index == manifest.episodes - 1
+        # Files of other origin hold episodes of any length up to the limit.
+        shortest = 1 if last or manifest.imported is not None else facts.episode_length
+        if not shortest <= length <= facts.episode_length:
+            fail(f"it has {length:,} steps; all but the last one have {facts.episode_length:,}")
+        if int(group.attrs["id"]) != index:
+            fail(f"it is stored as episode {int(group.attrs['id'])}")
+        for key in episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1)):
+            if np.ndim(group.attrs[key]) or np.asarray(group.attrs[key]).dtype.kind not in "iuf":
+                fail(f"its attribute {key} is no number")
+        return length
 
     def _check_link(self, group: h5py.Group, member: str, index: int) -> None:
         base = self._manifest.base

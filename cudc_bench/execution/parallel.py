@@ -15,8 +15,9 @@ from typing import Any
 
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
+from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.progress import Advance, bars, say
-from cudc_bench.execution.workers import Died, Ended, Worker, close, listen
+from cudc_bench.execution.workers import Died, Ended, Worker
 
 _share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
@@ -99,62 +100,32 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
 
 
 def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
-    pool: list[Worker[tuple[int, Job]]] = []
+    crew: Crew[tuple[int, Job]] = Crew(lambda: Worker(partial(_work, function, threads)), workers)
     left = list(reversed(list(enumerate(jobs))))
     results: dict[int, Any] = {}
     errors: dict[int, BaseException] = {}
 
-    def pass_on() -> None:
-        for worker in pool:
-            worker.ask()
-
-    def goes_on() -> bool:
+    def next_task() -> tuple[int, Job] | None:
         # After a failure jobs that have not started are dropped, and the running ones are waited for: they lose nothing.
-        return bool(left) and not errors and not interrupts.requested()
+        return left.pop() if left and not errors else None
 
-    def hear(index: int, news: Any) -> None:
+    def hear(task: tuple[int, Job], news: Any) -> None:
+        index, job = task
         if isinstance(news, Died):
             errors[index] = RunError(f"a worker process died ({news.how}); run the same command again.")
-            pass_on()  # what ended it, mostly a want of memory, would end them without a chance to save
+            crew.ask()  # what ended it, mostly a want of memory, would end them without a chance to save
         elif not isinstance(news, Ended):
             advances[index](news)
         elif news.error is None:
             results[index] = news.result
         else:
             errors[index] = news.error
-            if not isinstance(news.error, interrupts.Interrupted) and any(worker.task is not None for worker in pool):
-                say(f"{jobs[index].description} failed, the others that have begun go on: {news.error}")
+            if not isinstance(news.error, interrupts.Interrupted) and crew.is_busy:
+                say(f"{job.description} failed, the others that have begun go on: {news.error}")
 
-    with interrupts.leave_well(pass_on):
-        try:
-            while True:
-                while goes_on() and len(pool) < workers:
-                    pool.append(Worker(partial(_work, function, threads)))
-                    pool[-1].give(left.pop())
-                if interrupts.requested():
-                    pass_on()
-                if all(worker.task is None for worker in pool):
-                    break
-                listen(pool, 0.2)
-                for worker in pool:
-                    if worker.task is None:
-                        continue
-                    index, _ = worker.task
-                    for news in worker.news():
-                        hear(index, news)
-                    if worker.task is None and goes_on():
-                        worker.give(left.pop())
-            return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
-        except BaseException as error:
-            for worker in pool:
-                # Whoever asks twice does not want to wait; after an error here nobody wants the results.
-                if isinstance(error, Exception | interrupts.Interrupted):
-                    worker.ask()
-                else:
-                    worker.kill()
-            raise
-        finally:
-            close(pool)
+    with interrupts.leave_well():
+        crew.work(next_task, hear)
+        return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
 
 
 def _results(results: list[Any], errors: list[BaseException], left: bool) -> list[Any]:

@@ -1,8 +1,12 @@
-"""What learns: the networks, optimisers and random streams of a stack of members, saved and restored as one."""
+"""Stacks of members: what every one of them has, and what those have that learn by gradients.
+
+The networks, optimisers and random streams of a stack are saved and restored as one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ClassVar
 
@@ -15,7 +19,44 @@ from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import Precision
 
 
-class Learner(nn.Module):
+class MemberStack(ABC):
+    """E independent members, each with its own seed, and one configuration.
+
+    Class attributes:
+        config_class: the frozen dataclass of hyperparameters; its defaults are those of the paper or code that the class names.
+        values: hyperparameters that make a named variant out of the method that it is a subclass of.
+        citation: the paper, for lists and tables.
+
+    Attributes:
+        config: the hyperparameters.
+        seeds: one for each member.
+        device: where their tensors are.
+    """
+
+    config_class: ClassVar[type]
+    values: ClassVar[Mapping[str, Any]] = {}
+    citation: ClassVar[str]
+
+    def __init__(self, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        super().__init__()
+        self.config = config
+        self.seeds = tuple(seeds)
+        self.device = torch.device(device)
+
+    @abstractmethod
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        """Learn from one minibatch; metrics are (E,) tensors, complete when ``batch.measure`` is set."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that updates and actions change: networks, optimisers, generators, counters."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where ``state_dict`` was taken."""
+
+
+class Learner(MemberStack, nn.Module):
     """Networks as modules, and beside them optimisers and streams by name.
 
     An update has two halves, so that a GPU can repeat the second without Python (see :mod:`cudc_bench.learning.cuda_graphs`).
@@ -35,8 +76,8 @@ class Learner(nn.Module):
         if "update" in vars(cls):
             cls.replayable = False
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        super().__init__(config, seeds, device)
         self.random: dict[str, MemberRandom] = {}
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
         self.precision: Precision = "float32"
@@ -58,7 +99,6 @@ class Learner(nn.Module):
                 group["lr"] = value
 
     def update(self, batch: Batch) -> dict[str, Tensor]:
-        """Learn from one minibatch; metrics are (E,) tensors, complete when ``batch.measure`` is set."""
         plan = self.prepare()
         with self.products():
             return self.learn(batch, plan)
@@ -76,7 +116,6 @@ class Learner(nn.Module):
         raise NotImplementedError(f"{type(self).__name__} does not say how it learns")
 
     def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
-        """Parameters, buffers, optimisers and streams."""
         return {
             "networks": nn.Module.state_dict(self),
             "optimisers": {name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
@@ -84,7 +123,6 @@ class Learner(nn.Module):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
-        """Continue exactly where ``state_dict`` was taken."""
         nn.Module.load_state_dict(self, state["networks"])
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])

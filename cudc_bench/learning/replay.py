@@ -10,6 +10,7 @@ episode. Episode i starts at action row ``starts[i]`` and at observation row ``s
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,7 +32,8 @@ class Batch:
         skill: the skill (E, B, K) that a_t followed; None for methods without skills.
         next_action: a_{t+k} (E, B, A), for algorithms that ask for it.
         nearer_observation, nearer_horizon: s_{t+k'} (E, B, S) and k' ≤ k (E, B), int64, for methods that ask for a second end.
-        kept: values that a method computed for one step of its update and needs in a later one.
+        kept: what a method computed for one step of its update and needs in a later one: values by name, or an object of its own.
+        signal: what a method compares with the threshold that a pilot measures (E, B); set by the update, where there is one.
     """
 
     observation: Tensor
@@ -44,7 +46,8 @@ class Batch:
     next_action: Tensor | None = None
     nearer_observation: Tensor | None = None
     nearer_horizon: Tensor | None = None
-    kept: dict[str, Tensor] = field(default_factory=dict)
+    kept: Any = field(default_factory=dict)
+    signal: Tensor | None = None
 
 
 class Episodes:
@@ -117,7 +120,7 @@ class Episodes:
         action_row = self.starts[self.source[:, None], episode] + offset
         return action_row + episode, action_row
 
-    def sample(self, size: int, horizon: Tensor, measure: bool = False, nearest: int | None = None, next_action: bool = False) -> Batch:
+    def sample(self, size: int, horizon: Tensor, measure: bool = False, min_horizon: int | None = None, next_action: bool = False) -> Batch:
         """A minibatch of B k-step transitions for each member; rewards are those of the first step.
 
         Args:
@@ -125,7 +128,7 @@ class Episodes:
             horizon: k of each member (E,).
             measure: see :class:`Batch`.
             next_action: also give the action that follows s_{t+k}; transitions to the end of an episode, which has none, are left out.
-            nearest: also give a second end to each transition, k' steps after its start, k' uniform from ``nearest`` to k.
+            min_horizon: also give a second end to each transition, k' steps after its start, k' uniform from there to k.
         """
         observation_row, action_row = self.indices(size, horizon + 1 if next_action else horizon)
         flat_observation = self.observations.flatten(0, 1)
@@ -142,9 +145,9 @@ class Episodes:
             of_next = (action_row + horizon[:, None] + base * self.actions.shape[1]).flatten()
             following = flat_action.index_select(0, of_next).view(*action_row.shape, -1)
         nearer, k = None, None
-        if nearest is not None:
-            span = horizon[:, None] - nearest + 1
-            k = nearest + torch.minimum((self.random.uniform(size, dtype=torch.float64) * span).long(), span - 1)
+        if min_horizon is not None:
+            span = horizon[:, None] - min_horizon + 1
+            k = min_horizon + torch.minimum((self.random.uniform(size, dtype=torch.float64) * span).long(), span - 1)
             nearer = flat_observation.index_select(0, (first + k).flatten()).view(*first.shape, -1)
         return Batch(
             observation=both[:, :size],

@@ -20,6 +20,8 @@ from cudc_bench.errors import UsageError, nearest
 ConfigT = TypeVar("ConfigT")
 # Of a field that came after data had been made without it: its default is not written down, so that what was made before is still the same.
 LATER = {"later": True}
+# Of a field that counts environment steps, with a default for the paper's run: smaller profiles change it in proportion to theirs.
+WITH_STEPS = {"scales_with": "steps"}
 
 # The upper bound is beyond any run, and keeps slips of the keyboard out of the arithmetic of sizes.
 PositiveInt = Annotated[int, Field(ge=1, le=10**10)]

@@ -1,12 +1,13 @@
 """Profiles: named, complete, versioned sets of hyperparameters.
 
 The dataclass defaults beside each method are the paper's, so ``paper`` changes nothing. The smaller profiles change the same few
-values for every method, and shorten every schedule that counts environment steps in proportion to the run; tuning a single method in one
-of them is forbidden. Results of different profiles never share a table.
+values for every method, and shorten every schedule that counts environment steps in proportion to the run (``schedules``); tuning a single
+method in one of them is forbidden. Results of different profiles never share a table.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,15 +39,21 @@ PAPER_STEPS = 1_000_000  # environment steps of a dataset
 _SMALL = {"width": 128, "batch_size": 128, "learning_rate": 1e-3}
 
 
-def _schedules(steps: int) -> dict[str, Any]:
-    """A run's length, and the schedules of methods that are stated for the paper's 1M steps."""
-    share = steps / PAPER_STEPS
-    return {
-        "steps": steps,
-        "threshold_dwell": round(150_000 * share),
-        "normal_steps": steps,
-        "k_steps": tuple(round(step * share) for step in (450_000, 650_000, 1_050_000)),
-    }
+def schedules(config: type, profile: Mapping[str, Any]) -> dict[str, Any]:
+    """What a profile makes of the hyperparameters that scale with the steps of a run: their defaults, which are for the paper's, in
+    proportion to its own.
+
+    Args:
+        config: a frozen dataclass; its fields with the metadata ``WITH_STEPS`` are whole numbers, or tuples of them.
+        profile: its values for collection.
+    """
+    steps = profile.get("steps", PAPER_STEPS)
+    scaling = [one for one in dataclasses.fields(config) if one.metadata.get("scales_with") == "steps"]
+    return {one.name: _scaled(one.default, steps / PAPER_STEPS) for one in scaling}
+
+
+def _scaled(value: Any, share: float) -> Any:
+    return tuple(_scaled(one, share) for one in value) if isinstance(value, tuple) else round(value * share)
 
 
 PROFILES: dict[str, Profile] = {
@@ -56,7 +63,7 @@ PROFILES: dict[str, Profile] = {
         Profile(
             "cpu",
             "the same methods at a size where two cores collect a dataset in minutes",
-            collect={**_schedules(400_000), "update_every": 8, "feature_dim": 128, **_SMALL},
+            collect={"steps": 400_000, "update_every": 8, "feature_dim": 128, **_SMALL},
             evaluate={
                 "gradient_steps": 50_000, "evaluate_every": 5_000, "evaluation_episodes": 5, "final_episodes": 20,
                 "milestones": (10_000, 50_000), **_SMALL,
@@ -66,7 +73,7 @@ PROFILES: dict[str, Profile] = {
         Profile(
             "demo",
             "the cpu profile cut short: a first look in minutes, too short for conclusions",
-            collect={**_schedules(100_000), "update_every": 8, "feature_dim": 128, "measure_every": 250, **_SMALL},
+            collect={"steps": 100_000, "update_every": 8, "feature_dim": 128, "measure_every": 250, **_SMALL},
             evaluate={
                 "gradient_steps": 10_000, "evaluate_every": 1_000, "evaluation_episodes": 3, "final_episodes": 10,
                 "milestones": (2_000, 10_000), **_SMALL,
@@ -77,7 +84,7 @@ PROFILES: dict[str, Profile] = {
             "smoke",
             "seconds, to see that everything runs; the numbers mean nothing",
             collect={
-                **_schedules(3_000), "seed_steps": 1_000, "update_every": 50, "measure_every": 10, "feature_dim": 16, "width": 16,
+                "steps": 3_000, "seed_steps": 1_000, "update_every": 50, "measure_every": 10, "feature_dim": 16, "width": 16,
                 "batch_size": 32, "learning_rate": 1e-3,
             },
             evaluate={

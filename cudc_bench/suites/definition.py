@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -125,32 +125,49 @@ def narrow(
     Raises:
         UsageError: the suite has no such method, domain or task; there is no such algorithm, seed or profile.
     """
-    _among(suite, "method", methods, [name for study in suite.studies for name in study.methods])
-    _among(suite, "domain", domains, [name for study in suite.studies for name in study.domains])
-    domains_left = [
-        (study, domain) for study in suite.studies for domain in study.domains if domains is None or domain in domains
-    ]  # fmt: skip
-    _among(suite, "task", tasks, [name for study, domain in domains_left for name in study.tasks_of(domain)])
+    kept = _Kept(methods, domains, tasks)
+    kept.check(suite)
     if algos is not None:
         if not algos:
             raise UsageError("--algos is empty; leave it out for the suite's own.")
         for name in algos:
             plugins.check_name("evaluators", name)
-    studies = []
-    for study in suite.studies:
-        for domain in study.domains:
-            if domains is not None and domain not in domains:
-                continue
-            left = tuple(name for name in study.methods if methods is None or name in methods)
-            wanted = tuple(task for task in study.tasks_of(domain) if tasks is None or task in tasks)
-            if left and (wanted or tasks is None):
-                one = replace(study, methods=left, domains=(domain,), tasks=wanted)
-                studies.append(replace(one, algos=tuple(algos)) if algos is not None and study.algos else one)
     if profile is not None:
         _check_profile(profile)
+    studies = [part for study in suite.studies for part in kept.parts(study)]
+    if algos is not None:
+        studies = [replace(one, algos=tuple(algos)) if one.algos else one for one in studies]
     return replace(
         suite, studies=tuple(studies), seeds=suite.seeds if seeds is None else check_seeds(seeds), profile=profile or suite.profile
     )
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What is kept of a suite; None keeps all."""
+
+    methods: Sequence[str] | None
+    domains: Sequence[str] | None
+    tasks: Sequence[str] | None
+
+    def check(self, suite: Suite) -> None:
+        """Refuse a name that the suite does not have; of tasks, that no domain has which is kept."""
+        _among(suite, "method", self.methods, [name for study in suite.studies for name in study.methods])
+        _among(suite, "domain", self.domains, [name for study in suite.studies for name in study.domains])
+        domains = [(study, domain) for study in suite.studies for domain in _those(study.domains, self.domains)]
+        _among(suite, "task", self.tasks, [name for study, domain in domains for name in study.tasks_of(domain)])
+
+    def parts(self, study: Study) -> Iterator[Study]:
+        """What is kept of a study, each domain as a study of its own."""
+        methods = _those(study.methods, self.methods)
+        for domain in _those(study.domains, self.domains):
+            tasks = _those(study.tasks_of(domain), self.tasks)
+            if methods and (tasks or self.tasks is None):
+                yield replace(study, methods=methods, domains=(domain,), tasks=tasks)
+
+
+def _those(there: Sequence[str], kept: Sequence[str] | None) -> tuple[str, ...]:
+    return tuple(name for name in there if kept is None or name in kept)
 
 
 def _among(suite: Suite, kind: str, wanted: Sequence[str] | None, there: Sequence[str]) -> None:
@@ -203,22 +220,27 @@ def _study(found: _File, where: str) -> Study:
         tuple(sorted(set(found.dataset_shares or (1.0,)))), bool(found.stats),
     )  # fmt: skip
     try:
-        for method in study.methods:
-            plugins.check_name("collectors", method)
-        for algo in study.algos:
-            plugins.check_name("evaluators", algo)
-        there = list(dict.fromkeys(task for domain in study.domains for task in check_domain(domain).tasks))
-        for task in study.tasks or ():
-            if task not in there:
-                raise unknown("task", task, there)
-        for domain in study.domains:
-            if (study.tasks is not None or study.algos) and not study.tasks_of(domain):
-                raise UsageError(f"no task is one of {domain}; it has: {', '.join(check_domain(domain).tasks) or 'none'}.")
+        _check_names(study)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
     if found.dataset_shares is not None and not study.algos:
         raise UsageError(f"{where}: 'dataset_shares' are for training; name 'algos', too, or leave it out.")
     return study
+
+
+def _check_names(study: Study) -> None:
+    """Refuse what is not registered, and tasks that do not fit the domains."""
+    for method in study.methods:
+        plugins.check_name("collectors", method)
+    for algo in study.algos:
+        plugins.check_name("evaluators", algo)
+    there = list(dict.fromkeys(task for domain in study.domains for task in check_domain(domain).tasks))
+    for task in study.tasks or ():
+        if task not in there:
+            raise unknown("task", task, there)
+    for domain in study.domains:
+        if (study.tasks is not None or study.algos) and not study.tasks_of(domain):
+            raise UsageError(f"no task is one of {domain}; it has: {', '.join(check_domain(domain).tasks) or 'none'}.")
 
 
 def _check_profile(name: str, where: str = "") -> None:

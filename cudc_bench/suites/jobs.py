@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from cudc_bench.artefacts.ids import default_id
 from cudc_bench.settings.seeds import format_seeds
 
-from .definition import Suite
+from .definition import Study, Suite
 
 Kind = Literal["pilot", "collect", "relabel", "evaluate", "stats"]
 KINDS: tuple[Kind, ...] = ("pilot", "collect", "relabel", "evaluate", "stats")
@@ -111,41 +111,77 @@ def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[
         stacked: whether one process trains all seeds, and all tasks, together, as is best on a GPU.
     """
     groups = [suite.seeds] if stacked else [(seed,) for seed in suite.seeds]
-    wanting = set(pilots)
-    tasks: dict[tuple[str, str], dict[str, None]] = {}
-    runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
-    compared: dict[str, dict[str, None]] = {}
+    wanted = _Wanted()
     for study in suite.studies:
         for domain in study.domains:
-            for method in study.methods:
-                mine = tasks.setdefault((domain, method), {})
-                if study.algos:
-                    mine |= dict.fromkeys(study.tasks_of(domain))
-                for algo in study.algos:
-                    for share in study.shares:
-                        size = round(share * steps[domain, method])
-                        used = None if size == steps[domain, method] else max(1, size)
-                        runs.setdefault((domain, method, algo, used), {}).update(dict.fromkeys(study.tasks_of(domain)))
-                if study.stats:
-                    compared.setdefault(domain, {})[method] = None
-    needs: dict[Job, tuple[Job, ...]] = {}
-    for (domain, method), wanted in tasks.items():
-        before: tuple[Job, ...] = ()
-        if (domain, method) in wanting:
-            pilot = Job("pilot", domain, (method,))
-            needs[pilot], before = (), (pilot,)
-        for seeds in groups:
-            collect = Job("collect", domain, (method,), seeds)
-            needs[collect] = before
-            if wanted:
-                needs[Job("relabel", domain, (method,), seeds, tuple(wanted))] = (collect,)
-    relabels = {(job.domain, job.method, job.seeds): job for job in needs if job.kind == "relabel"}
-    for (domain, method, algo, used), wanted in runs.items():
-        for seeds in groups:
-            relabel = relabels[domain, method, seeds]
-            for some in [tuple(wanted)] if stacked else [(task,) for task in wanted]:
-                needs[Job("evaluate", domain, (method,), seeds, some, algo, used)] = (relabel,)
-    for domain, methods in compared.items():
-        makers = tuple(job for job in needs if job.kind == "collect" and job.domain == domain and job.method in methods)
-        needs[Job("stats", domain, tuple(methods), suite.seeds)] = makers
+            wanted.add(study, domain, steps)
+    needs = wanted.datasets(groups, set(pilots))
+    needs |= wanted.trainings(groups, stacked, [job for job in needs if job.kind == "relabel"])
+    needs |= wanted.comparisons(suite.seeds, [job for job in needs if job.kind == "collect"])
     return Plan(needs)
+
+
+_Needs = dict[Job, tuple[Job, ...]]
+
+
+class _Wanted:
+    """What studies ask for, whichever of them; names are kept in the order in which they first came.
+
+    Attributes:
+        tasks: that datasets of (domain, method) are labelled for.
+        runs: the tasks of each (domain, method, algorithm, transitions).
+        compared: the methods of each domain whose datasets are compared.
+    """
+
+    def __init__(self) -> None:
+        self.tasks: dict[tuple[str, str], dict[str, None]] = {}
+        self.runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
+        self.compared: dict[str, dict[str, None]] = {}
+
+    def add(self, study: Study, domain: str, steps: Mapping[tuple[str, str], int]) -> None:
+        """What a study asks of one of its domains."""
+        tasks = dict.fromkeys(study.tasks_of(domain))
+        for method in study.methods:
+            labels = self.tasks.setdefault((domain, method), {})
+            if study.algos:
+                labels |= tasks
+            if study.stats:
+                self.compared.setdefault(domain, {})[method] = None
+            whole = steps[domain, method]
+            for algo in study.algos:
+                for size in (round(share * whole) for share in study.shares):
+                    used = None if size == whole else max(1, size)
+                    self.runs.setdefault((domain, method, algo, used), {}).update(tasks)
+
+    def datasets(self, groups: Sequence[tuple[int, ...]], pilots: set[tuple[str, str]]) -> _Needs:
+        """The jobs that measure thresholds, collect and label, for groups of seeds."""
+        needs: _Needs = {}
+        for (domain, method), tasks in self.tasks.items():
+            before: tuple[Job, ...] = ()
+            if (domain, method) in pilots:
+                pilot = Job("pilot", domain, (method,))
+                needs[pilot], before = (), (pilot,)
+            for seeds in groups:
+                collect = Job("collect", domain, (method,), seeds)
+                needs[collect] = before
+                if tasks:
+                    needs[Job("relabel", domain, (method,), seeds, tuple(tasks))] = (collect,)
+        return needs
+
+    def trainings(self, groups: Sequence[tuple[int, ...]], stacked: bool, relabels: Iterable[Job]) -> _Needs:
+        """The jobs that train, each after the one that labels its datasets."""
+        before = {(job.domain, job.method, job.seeds): job for job in relabels}
+        needs: _Needs = {}
+        for (domain, method, algo, used), tasks in self.runs.items():
+            for seeds in groups:
+                for some in [tuple(tasks)] if stacked else [(task,) for task in tasks]:
+                    needs[Job("evaluate", domain, (method,), seeds, some, algo, used)] = (before[domain, method, seeds],)
+        return needs
+
+    def comparisons(self, seeds: tuple[int, ...], collects: Sequence[Job]) -> _Needs:
+        """The jobs that compare datasets, each after all that collect them."""
+        needs: _Needs = {}
+        for domain, methods in self.compared.items():
+            makers = tuple(job for job in collects if job.domain == domain and job.method in methods)
+            needs[Job("stats", domain, tuple(methods), seeds)] = makers
+        return needs

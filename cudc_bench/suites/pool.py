@@ -50,7 +50,10 @@ class Outcome:
     why: str = ""
 
 
-class JobWorker:
+Given = tuple[Job, Path]  # a job, and the file that its output goes to
+
+
+def job_worker(cores: int, common: Common, context: Any = None) -> workers.Worker[Given]:
     """A process for jobs.
 
     Args:
@@ -58,32 +61,24 @@ class JobWorker:
         common: to all its jobs.
         context: how processes start; anew unless given.
     """
-
-    def __init__(self, cores: int, common: Common, context: Any = None) -> None:
-        with _threads(cores):
-            self.process = workers.Worker(partial(_attempt, common), partial(use_cores, cores), _saves, context)
-
-    def give(self, job: Job, log: Path) -> None:
-        """Start a job, whose output goes to a file."""
-        self.process.give((job, log))
-
-    @property
-    def job(self) -> Job | None:
-        """What it is at."""
-        return None if self.process.task is None else self.process.task[0]
-
-    def news(self) -> Iterator[Progress | Outcome]:
-        """What it has said since it was last asked; a process that died says that its job failed."""
-        for message in self.process.news():
-            if isinstance(message, workers.Died):
-                yield Outcome("failed", f"its process died ({message.how})")
-            elif isinstance(message, workers.Ended):
-                yield message.result if message.error is None else Outcome("failed", visible(str(message.error)))
-            else:
-                yield message
+    with _threads(cores):
+        return workers.Worker(partial(_attempt, common), partial(use_cores, cores), _saves, context)
 
 
-def _saves(given: tuple[Job, Path]) -> bool:
+def understood(news: Any) -> Progress | Outcome:
+    """What such a process has said of its job; one that died says that it failed."""
+    if isinstance(news, workers.Died):
+        return Outcome("failed", f"its process died ({news.how})")
+    if not isinstance(news, workers.Ended):
+        told: Progress = news
+        return told
+    if news.error is not None:
+        return Outcome("failed", visible(str(news.error)))
+    ended: Outcome = news.result
+    return ended
+
+
+def _saves(given: Given) -> bool:
     return given[0].kind != "stats"
 
 
@@ -102,7 +97,7 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _attempt(common: Common, given: tuple[Job, Path], send: workers.Tell) -> Outcome:
+def _attempt(common: Common, given: Given, send: workers.Tell) -> Outcome:
     job, log = given
     last = 0.0
 

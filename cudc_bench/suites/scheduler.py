@@ -6,15 +6,16 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from cudc_bench.errors import RunError
 from cudc_bench.execution import interrupts
+from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.parallel import all_cores
-from cudc_bench.execution.workers import close, listen
 
 from .display import Display, Running, duration, size
 from .jobs import Job, Plan
-from .pool import JobWorker, Outcome, Progress
+from .pool import Given, Outcome, Progress, job_worker, understood
 from .queue import Failure, Queue
 from .work import Common, finish_removal, made_by, remove
 
@@ -78,13 +79,22 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     logs = common.folder / "logs"
     running: dict[Job, Running] = {}
     held: dict[Job, float] = {}
-    pool: list[JobWorker] = []
     share = max(1, all_cores() // workers)
     left: list[str] = []
 
-    def pass_on() -> None:
-        for worker in pool:
-            worker.process.ask()
+    def start() -> Given | None:
+        not_now = [job for job, when in held.items() if when > time.monotonic()]
+        if (job := queue.start(not_now)) is None:
+            return None
+        running[job] = Running(job, time.monotonic(), queue.seconds[job])
+        return job, logs / f"{job.slug}.log"
+
+    def hear(given: Given, news: Any) -> None:
+        job, told = given[0], understood(news)
+        if isinstance(told, Progress):
+            running[job].tell(told.done, told.total)
+        else:
+            end(job, told)
 
     def end(job: Job, ended: Outcome) -> None:
         one = running.pop(job)
@@ -110,51 +120,10 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
 
     if retention is not None:
         retention.job_done(None, display.line)
-    try:
-        with interrupts.leave_well(pass_on), display.shown():
-            while not queue.is_over:
-                if not interrupts.requested():
-                    not_now = [job for job, when in held.items() if when > time.monotonic()]
-                    _give_out(queue, pool, workers, share, common, running, logs, not_now)
-                elif not running:
-                    break
-                else:
-                    pass_on()  # to a worker that was just being given a job when the signal came
-                display.refresh(running)
-                listen([worker.process for worker in pool], 0.2)
-                for worker in pool:
-                    if (job := worker.job) is None:
-                        continue
-                    for news in worker.news():
-                        if isinstance(news, Progress):
-                            running[job].tell(news.done, news.total)
-                        else:
-                            end(job, news)
-            if interrupts.requested():
-                done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
-                raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))
-    except BaseException as error:
-        if not isinstance(error, interrupts.Interrupted):
-            for worker in pool:
-                worker.process.kill()
-        raise
-    finally:
-        close(worker.process for worker in pool)
+    crew = Crew(lambda: job_worker(share, common), workers)
+    with interrupts.leave_well(), display.shown():
+        crew.work(start, hear, lambda: queue.is_over, lambda: display.refresh(running))
+        if interrupts.requested():
+            done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
+            raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))
     return [(failure, logs / f"{(failure.because or failure.job).slug}.log") for failure in queue.failures]
-
-
-def _give_out(
-    queue: Queue, pool: list[JobWorker], workers: int, share: int, common: Common, running: dict[Job, Running], logs: Path,
-    not_now: list[Job],
-) -> None:  # fmt: skip
-    """Give each worker that is idle a job, as far as there are any; a worker that died is replaced."""
-    while len(running) < workers and (job := queue.start(not_now)) is not None:
-        for dead in [worker for worker in pool if worker.job is None and not worker.process.lives]:
-            pool.remove(dead)
-            close([dead.process])
-        idle = next((worker for worker in pool if worker.job is None), None)
-        if idle is None:
-            idle = JobWorker(share, common)
-            pool.append(idle)
-        running[job] = Running(job, time.monotonic(), queue.seconds[job])
-        idle.give(job, logs / f"{job.slug}.log")

@@ -40,35 +40,58 @@ def survey(suite: Suite, common: Common) -> Survey:
     pairs = dict.fromkeys((domain, method) for study in suite.studies for domain in study.domains for method in study.methods)
     if not pairs:
         raise UsageError(f"nothing is left of the suite '{suite.name}'; narrow it less.")
-    plan_collect, plan_evaluate = plugins.load("stages", "plan_collect"), plugins.load("stages", "plan_evaluate")
-    datasets: dict[tuple[str, str], list[Planned]] = {
-        (domain, method): plan_collect(method, domain, suite.seeds, profile=common.profile, settings=common.collect)
-        for domain, method in pairs
-    }
-    steps = {pair: found[0].total for pair, found in datasets.items()}
-    pilots = [pair for pair, found in datasets.items() if found[0].needs_pilot]
+    plan_collect = plugins.load("stages", "plan_collect")
+    looked = _Looked(
+        common,
+        {
+            (domain, method): plan_collect(method, domain, suite.seeds, profile=common.profile, settings=common.collect)
+            for domain, method in pairs
+        },
+    )
+    steps = {pair: found[0].total for pair, found in looked.datasets.items()}
+    pilots = [pair for pair, found in looked.datasets.items() if found[0].needs_pilot]
     plan = expand(suite, steps, pilots, stacked=common.device == "cuda")
-    done, totals = set(), {}
-    collected = {(pair, one.seed) for pair, found in datasets.items() for one in found if one.done}
-    for job in plan.needs:
-        pairs_of_job = [(job.domain, method) for method in job.methods]
-        totals[job] = steps[pairs_of_job[0]]
-        has_datasets = all((pair, seed) in collected for pair in pairs_of_job for seed in job.seeds)
+    states = {job: looked.state(job) for job in plan.needs}
+    return Survey(plan, frozenset(job for job, (done, _) in states.items() if done), {job: total for job, (_, total) in states.items()})
+
+
+class _Looked:
+    """What exists of a suite's jobs.
+
+    Args:
+        common: to all of them.
+        datasets: of each (domain, method) what ``collect`` would do, by seed.
+    """
+
+    def __init__(self, common: Common, datasets: dict[tuple[str, str], list[Planned]]) -> None:
+        self._common, self.datasets = common, datasets
+        self._plan_evaluate = plugins.load("stages", "plan_evaluate")
+        self._collected = {(pair, one.seed) for pair, found in datasets.items() for one in found if one.done}
+
+    def state(self, job: Job) -> tuple[bool, int]:
+        """Whether a job is done, and its units of work."""
+        steps = self.datasets[job.domain, job.methods[0]][0].total
         if job.kind == "collect":
-            is_done = has_datasets
-        elif job.kind == "relabel":
-            labelled = [one for base in job.datasets for one in check_relabelled(base, job.tasks).values()] if has_datasets else []
-            is_done = has_datasets and all(exists(one) and not is_untidy(one) for one in labelled)
-        elif job.kind == "evaluate":
-            records = plan_evaluate(
-                job.algo, job.domain, job.tasks, job.method, job.seeds, profile=common.profile, settings=common.evaluate, used=job.used,
-                output=common.output, collected=datasets[pairs_of_job[0]][0].overrides,
-            )  # fmt: skip
-            is_done, totals[job] = all(one.done for one in records), records[0].total
-        else:
-            is_done = job.kind == "stats" and is_measured(job, common)
+            return self._has_datasets(job), steps
+        if job.kind == "relabel":
+            return self._has_datasets(job) and self._has_labels(job), steps
+        if job.kind == "evaluate":
+            return self._evaluated(job)
         if job.kind == "stats":
-            totals[job] *= len(job.datasets)
-        if is_done:
-            done.add(job)
-    return Survey(plan, frozenset(done), totals)
+            return is_measured(job, self._common), steps * len(job.datasets)
+        return False, steps  # a threshold that was measured needs no pilot
+
+    def _has_datasets(self, job: Job) -> bool:
+        return all(((job.domain, method), seed) in self._collected for method in job.methods for seed in job.seeds)
+
+    def _has_labels(self, job: Job) -> bool:
+        labelled = [one for base in job.datasets for one in check_relabelled(base, job.tasks).values()]
+        return all(exists(one) and not is_untidy(one) for one in labelled)
+
+    def _evaluated(self, job: Job) -> tuple[bool, int]:
+        common = self._common
+        records = self._plan_evaluate(
+            job.algo, job.domain, job.tasks, job.method, job.seeds, profile=common.profile, settings=common.evaluate, used=job.used,
+            output=common.output, collected=self.datasets[job.domain, job.method][0].overrides,
+        )  # fmt: skip
+        return all(one.done for one in records), records[0].total

@@ -77,18 +77,9 @@ def render_policy(
         RunError: the record or its policy cannot be used, nothing here can draw, or the video cannot be written.
     """
     place = check_record(record)
-    if not 1 <= episodes <= _MOST_EPISODES:
-        raise UsageError(f"--episodes takes 1 to {_MOST_EPISODES}, not {episodes}.")
-    if seed is not None and seed < 0:
-        raise UsageError(f"a seed cannot be {seed}; it must be 0 or more.")
-    if not (np.isfinite(fps) and 1 <= fps <= 1000):
-        raise UsageError(f"--fps takes 1 to 1000, not {fps:g}.")
+    _check_numbers(episodes, seed, fps)
     path = place.with_suffix(".mp4" if find_ffmpeg() else ".gif") if output is None else check_path(output, "the output")
-    usual = _SIZES.get(path.suffix.lower(), _SIZES[".mp4"])
-    size = (usual[0] if width is None else width, usual[1] if height is None else height)
-    for option, value in zip(("--width", "--height"), size, strict=True):
-        if not _SMALLEST <= value <= _LARGEST:
-            raise UsageError(f"{option} takes {_SMALLEST} to {_LARGEST}, not {value}.")
+    size = _size(path, width, height)
     check_video(path, *size, fps)
     check_file(path, "the output")
 
@@ -116,6 +107,25 @@ def render_policy(
             write_video(path, _frames(drawer, played, chosen, advance), len(chosen) * episodes, fps)
     returns = tuple(one.total for one in played if one.total is not None)
     return Rendering(path, returns, tuple(one.recorded for one in played if one.recorded is not None))
+
+
+def _check_numbers(episodes: int, seed: int | None, fps: float) -> None:
+    if not 1 <= episodes <= _MOST_EPISODES:
+        raise UsageError(f"--episodes takes 1 to {_MOST_EPISODES}, not {episodes}.")
+    if seed is not None and seed < 0:
+        raise UsageError(f"a seed cannot be {seed}; it must be 0 or more.")
+    if not (np.isfinite(fps) and 1 <= fps <= 1000):
+        raise UsageError(f"--fps takes 1 to 1000, not {fps:g}.")
+
+
+def _size(path: Path, width: int | None, height: int | None) -> tuple[int, int]:
+    """Of the frames: what was asked for, or else what is usual for such a video."""
+    usual = _SIZES.get(path.suffix.lower(), _SIZES[".mp4"])
+    size = (usual[0] if width is None else width, usual[1] if height is None else height)
+    for option, value in zip(("--width", "--height"), size, strict=True):
+        if not _SMALLEST <= value <= _LARGEST:
+            raise UsageError(f"{option} takes {_SMALLEST} to {_LARGEST}, not {value}.")
+    return size
 
 
 def frame_times(steps: int, timestep: float, fps: float) -> np.ndarray:

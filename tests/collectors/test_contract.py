@@ -29,7 +29,7 @@ def flow(name: str) -> Hashable:
     grows = collector.max_horizon > int(collector.horizon.max())
     skills = bool(collector.skill_size) and ("steps" if collector.skill_steps else "episodes")
     rule = getattr(config, "k_rule", None) if grows else None
-    return kind.act, kind.next_skill, kind.learns, skills, grows, rule, kind.threshold(config), collector.nearest is None
+    return kind.act, kind.next_skill, kind.learns, skills, grows, rule, kind.measured_by_pilot(config), collector.min_horizon is None
 
 
 def code(name: str) -> Hashable:

@@ -26,7 +26,9 @@ class Scripted(CUDC):
 
     def features(self, batch):
         reachable = self.log_reachable.expand(len(self.seeds), batch.action.shape[1])
-        return super().features(batch) | {"log_reachable": reachable, "log_found": reachable}
+        found = super().features(batch)
+        found.log_reachable = found.log_found = reachable
+        return found
 
 
 def scripted(seeds=(1,), **settings):
@@ -96,10 +98,10 @@ def test_a_perfectly_predicted_future_is_reachable():
     c.forward_model = torch.nn.Module()
     c.forward_model.forward = lambda x: keys
     f = real(batch)
-    batch.kept = {name: value.detach() for name, value in f.items()}
+    batch.kept = f.detached()
     w = c.sample_weight(batch)
-    assert f["log_reachable"].exp().min() > 0.999
-    assert batch.kept["w"].max() < 1e-3
+    assert f.log_reachable.exp().min() > 0.999
+    assert batch.kept.w.max() < 1e-3
     assert (w == c.config.clip_low).all()
     c._adapt_horizon(torch.ones(1), torch.zeros(1))
     assert c.k.tolist() == [4]
@@ -174,5 +176,5 @@ def test_the_representation_learns_and_a_live_action_target_collapses(random_wal
         reach.append(losses["loss_reach"].item())
     # Chance is ln 128.
     assert np.mean(reach[580:620]) < math.log(128)
-    spread = batch.kept["action"].std(1).norm(dim=-1).item()
+    spread = batch.kept.action.std(1).norm(dim=-1).item()
     assert spread > 0.1 if action_target == "stopgrad" else spread < 0.05

@@ -119,7 +119,7 @@ def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     kind, common = plugins.load("collectors", name), dict(SMALL_SIZES.get(name, {}))
     if "state_target" in vars(kind.configure("walker")) and "state_target" not in kind.values:
         common["state_target"] = "live"
-    if (threshold := kind.threshold(kind.configure("walker"))) is not None:
+    if (threshold := kind.measured_by_pilot(kind.configure("walker"))) is not None:
         common[threshold] = 0.5
     return common | settings
 
@@ -138,9 +138,9 @@ def minibatch(collector: Any, update: int) -> Batch:
     batch = batch_for(collector, SIZE, seed=10 + update, measure=update % 2 == 0)
     first, last = collector.config.horizon, getattr(collector.config, "k_max", 1000)
     batch.horizon = torch.tensor([first + further % (last - first + 1) for further in FURTHER[update]])
-    if collector.nearest is not None:
+    if collector.min_horizon is not None:
         batch.nearer_observation = batch.observation.flip(1) - batch.next_observation
-        batch.nearer_horizon = collector.nearest + torch.arange(SIZE) % (batch.horizon[:, None] - collector.nearest + 1)
+        batch.nearer_horizon = collector.min_horizon + torch.arange(SIZE) % (batch.horizon[:, None] - collector.min_horizon + 1)
     if batch.skill is not None:
         batch.skill = batch.skill.double()
     batch.reward, batch.next_action = torch.full((len(SEEDS), SIZE), torch.nan), torch.full_like(batch.action, torch.nan)
@@ -213,7 +213,7 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
     agent = {key: value for key, value in values.items() if key in AGENT} | {"learning_rate": RATE}
     with doubles():
         collector = given(name, values, **times)
-        assert collector.nearest == (3 if name == "cudc-kmix" else None)
+        assert collector.min_horizon == (3 if name == "cudc-kmix" else None)
         assert collector.horizon.tolist() == [settings.get("horizon", 6 if name == "apt-k6" else 3)] * len(SEEDS)
         members = [Explorer(collector, e) for e in range(len(SEEDS))]
         seen = watch(collector)

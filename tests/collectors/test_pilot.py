@@ -49,7 +49,7 @@ class Ignores:
 
 def test_exactly_these_need_one():
     kinds = {name: plugins.load("collectors", name) for name in plugins.names("collectors")}
-    assert [name for name, kind in kinds.items() if kind.threshold(kind.configure("walker")) is not None] == NEEDY
+    assert [name for name, kind in kinds.items() if kind.measured_by_pilot(kind.configure("walker")) is not None] == NEEDY
 
 
 @pytest.mark.parametrize("method", NEEDY)
@@ -64,13 +64,13 @@ def test_the_threshold_is_the_quantile_of_medians(method, own_file):
     def watched(batch):
         metrics = update(batch)
         f = batch.kept
-        error = (f["z_next"] - f["predicted"]).norm(dim=-1)[0]
+        error = (f.z_next - f.predicted).norm(dim=-1)[0]
         if method == "cudc-no-reach":
             signal = error
         elif method == "cudc-vary-icm":
             signal = error.log1p()
         else:
-            points = f["z"][0] if method == "cudc-vary-apt" else torch.cat([f["z"][0], f["action"][0]], -1)
+            points = f.z[0] if method == "cudc-vary-apt" else torch.cat([f.z[0], f.action[0]], -1)
             nearest = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist").sort(-1).values[:, :12]
             signal = nearest.mean(-1).log1p()
             if method == "cudc-reward":

@@ -166,8 +166,8 @@ class Scripted(CUDC):
 
     def reward(self, batch):
         super().reward(batch)
-        batch.kept["surprise"] = batch.kept["reward"] = self.script.expand(len(self.seeds), -1)
-        return batch.kept["reward"]
+        batch.kept.surprise = batch.kept.reward = self.script.expand(len(self.seeds), -1)
+        return batch.kept.reward
 
 
 def scripted(rule, **settings):

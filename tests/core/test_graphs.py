@@ -25,7 +25,7 @@ class Regression(Learner):
     """Predicts an action from an observation; every third update does so with half the weight."""
 
     def __init__(self, device: str = "cpu") -> None:
-        super().__init__()
+        super().__init__(None, [1], device)
         self.random["noise"] = MemberRandom([1], "noise", device)
         self.network = mlp(MemberRandom([1], "weights", device), 3, 8, 2)
         self.add_optimiser("network", [self.network], 1e-2)
@@ -168,7 +168,7 @@ def learners(device: str) -> Iterator[tuple[str, Callable[[], Any], int]]:
         kind = plugins.load("collectors", name)
         if kind.learns:
             config = kind.configure("walker", small)
-            if (threshold := kind.threshold(config)) is not None:
+            if (threshold := kind.measured_by_pilot(config)) is not None:
                 config = kind.configure("walker", small, {threshold: 0.5})
 
             def make(kind: Any = kind, config: Any = config) -> Any:
@@ -198,7 +198,7 @@ def test_on_a_gpu_graphs_equal_single_steps_and_nothing_waits() -> None:
             def draw(measure: bool, episodes: Episodes = episodes, learner: Any = learner) -> Batch:
                 horizon = getattr(learner, "horizon", torch.ones(2, dtype=torch.int64, device="cuda"))
                 return episodes.sample(
-                    64, horizon, measure, getattr(learner, "nearest", None), getattr(learner, "wants_next_action", False)
+                    64, horizon, measure, getattr(learner, "min_horizon", None), getattr(learner, "wants_next_action", False)
                 )
 
             updates = Updates(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)

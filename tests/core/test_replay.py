@@ -36,7 +36,7 @@ def test_windows_never_leave_their_episode(lengths, horizon, seed):
 @given(lengths=st.lists(st.integers(8, 12), min_size=1, max_size=4), horizons=st.tuples(*[st.integers(3, 8)] * 2), seed=st.integers(0, 99))
 def test_second_ends_lie_on_the_way(lengths, horizons, seed):
     episodes = coded(lengths, seeds=(seed, seed + 1), source_of_member=[0, 0])
-    batch = episodes.sample(64, torch.tensor(horizons), nearest=3)
+    batch = episodes.sample(64, torch.tensor(horizons), min_horizon=3)
     assert torch.equal(batch.nearer_observation[..., :2], batch.observation[..., :2])
     assert torch.equal(batch.nearer_observation[..., 2] - batch.observation[..., 2], batch.nearer_horizon.float())
     assert batch.nearer_horizon.min() >= 3
@@ -46,7 +46,7 @@ def test_second_ends_lie_on_the_way(lengths, horizons, seed):
 
 def test_second_ends_are_uniform_and_change_nothing_else():
     horizon = torch.tensor([6])
-    batch = coded([20]).sample(40_000, horizon, nearest=3)
+    batch = coded([20]).sample(40_000, horizon, min_horizon=3)
     share = torch.bincount(batch.nearer_horizon[0])[3:] / 40_000
     torch.testing.assert_close(share, torch.full((4,), 0.25), atol=0.01, rtol=0)
     plain = coded([20]).sample(40_000, horizon)

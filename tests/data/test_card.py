@@ -13,11 +13,12 @@ import pytest
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
+from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import Base, Manifest, read_manifest
 from cudc_bench.data.card import render_card
 from cudc_bench.data.layout import MAIN_FILE
+from cudc_bench.data.measure import measure_coverage, reward_statistics
 from cudc_bench.data.reader import load_episodes
-from cudc_bench.data.statistics import measure_coverage, reward_statistics
 
 BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
 
@@ -150,7 +151,8 @@ def test_when_k_grew_and_whether_that_is_suspect(one: str, steps: list[int], sus
 )
 def test_malformed_schedules_are_none(diagnostics: dict[str, object], smoke: Path) -> None:
     manifest = read_manifest(BASE).model_copy(update={"diagnostics": diagnostics})
-    assert (manifest.k_growth, manifest.k_grew, manifest.notes) == ([], "", [])
+    found = k_schedule(manifest.diagnostics)
+    assert (found.growth, str(found), found.note) == ((), "", "")
     file = smoke / BASE / "data" / MAIN_FILE
     text = render_card(manifest, BASE, "words", reward_statistics(file, manifest), measure_coverage(file, manifest))
     assert "k grew" not in text

@@ -1,6 +1,7 @@
-"""What a dataset's card says in numbers: its rewards, and how far its observations and actions spread.
+"""The measurer of datasets: rewards, and how far observations and actions spread, as cards have them and ``stats`` has them.
 
-Each comes from one pass with memory for one episode.
+Both measure the same with parameters of their own, which are named here: numbers that were published depend on them. What a card says comes
+from one pass with memory for one episode.
 """
 
 from __future__ import annotations
@@ -20,9 +21,34 @@ from cudc_bench.execution.progress import Advance
 Float64 = NDArray[np.float64]
 
 NEIGHBOUR = 12  # whose distance is taken; as in particle-based entropies of unsupervised exploration (Liu & Abbeel 2021)
-_POINTS = 2_000  # among which neighbours are sought, at most
-_NEAREST = 1e-3  # a lower bound of distances, whose logarithm would be minus infinity between equal observations
-SATURATED = 0.99  # the size from which an action counts as being at its bound
+_BLOCK = 500  # rows of a matrix of distances at a time, where not all are computed at once
+
+
+@dataclass(frozen=True)
+class Measure:
+    """The parameters of a measurement.
+
+    Attributes:
+        points: among so many observations, at most, neighbours are sought.
+        floor: a lower bound of their distances, whose logarithm would be minus infinity between equal observations.
+        saturated: the size from which a component of an action counts as being at its bound.
+        inclusive: whether one of exactly that size counts.
+    """
+
+    points: int
+    floor: float
+    saturated: float
+    inclusive: bool
+
+    def at_bound(self, actions: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which components of actions are at their bounds; of the same shape."""
+        sizes = np.abs(actions)
+        at: NDArray[np.bool_] = sizes >= self.saturated if self.inclusive else sizes > self.saturated
+        return at
+
+
+CARD = Measure(points=2_000, floor=1e-3, saturated=0.99, inclusive=True)
+STATS = Measure(points=20_000, floor=1e-6, saturated=0.95, inclusive=False)
 
 
 @dataclass(frozen=True)
@@ -94,6 +120,30 @@ class _Moments:
         return self._scatter / self.count
 
 
+class EvenlySpaced:
+    """Some of a dataset's observations (n, S), evenly spaced in collection order; resets count.
+
+    Args:
+        manifest: of the dataset.
+        most: how many, at most.
+    """
+
+    def __init__(self, manifest: Manifest, most: int) -> None:
+        self._stride = math.ceil((manifest.steps + manifest.episodes) / most)
+        self._seen = 0
+        self._parts: list[NDArray[Any]] = []
+
+    def add(self, observations: NDArray[Any]) -> None:
+        """Those of the next episode (T+1, S)."""
+        # A view would keep the whole episode.
+        self._parts.append(observations[-self._seen % self._stride :: self._stride].copy())
+        self._seen += len(observations)
+
+    def together(self) -> NDArray[Any]:
+        """All that were chosen."""
+        return np.concatenate(self._parts)
+
+
 def reward_statistics(file: Path, manifest: Manifest) -> RewardStatistics:
     """Read a dataset's rewards.
 
@@ -130,24 +180,22 @@ def measure_coverage(file: Path, manifest: Manifest, advance: Advance | None = N
         file, manifest: as for :func:`reward_statistics`.
         advance: is told of the steps that were read.
     """
-    stride = math.ceil((manifest.steps + manifest.episodes) / _POINTS)
     moments: _Moments | None = None
-    points: list[Float64] = []
+    points = EvenlySpaced(manifest, CARD.points)
     actions, size, saturated = 0, 0.0, 0
     for episode in iterate_episodes(file, ("observations", "actions"), manifest.episodes, base_file(manifest)):
         observations = episode["observations"].astype(np.float64)
         moments = moments or _Moments(observations.shape[1])
-        # A view would keep the whole episode.
-        points.append(observations[-moments.count % stride :: stride].copy())
+        points.add(observations)
         moments.add(observations)
         sizes = np.abs(episode["actions"])
         actions += sizes.size
         size += float(sizes.sum(dtype=np.float64))
-        saturated += int((sizes >= SATURATED).sum())
+        saturated += int(CARD.at_bound(sizes).sum())
         if advance is not None:
             advance(len(sizes))
     assert moments is not None
-    chosen = np.concatenate(points)
+    chosen = points.together()
     return Coverage(
         mean=moments.mean,
         std=np.sqrt(np.diag(moments.covariance)),
@@ -155,7 +203,8 @@ def measure_coverage(file: Path, manifest: Manifest, advance: Advance | None = N
         max=moments.max,
         effective_rank=_effective_rank(moments.covariance),
         points=len(chosen),
-        log_distance=_log_distance(chosen) if len(chosen) > NEIGHBOUR else None,
+        # All rows at once: the sums of a matrix product depend on its shape, to the last bit.
+        log_distance=mean_log_distance(chosen - chosen.mean(0), CARD, len(chosen)) if len(chosen) > NEIGHBOUR else None,
         action_size=size / actions,
         saturated=saturated / actions,
     )
@@ -173,10 +222,26 @@ def _effective_rank(covariance: Float64) -> float:
     return math.exp(shannon_entropy(np.linalg.eigvalsh(covariance).clip(min=0.0)))
 
 
-def _log_distance(points: Float64) -> float:
-    centred = points - points.mean(0)
-    squares = (centred**2).sum(1)
-    squared = squares[:, None] + squares[None, :] - 2.0 * (centred @ centred.T)
-    np.fill_diagonal(squared, np.inf)
-    distances = np.sqrt(np.partition(squared, NEIGHBOUR - 1, axis=1)[:, NEIGHBOUR - 1].clip(min=0.0))
-    return float(np.log(distances.clip(min=_NEAREST)).mean())
+def mean_log_distance(points: NDArray[Any], how: Measure, block: int = _BLOCK) -> float:
+    """The mean over points (n, S), of which there are more than 12, of the logarithm of the distance to the 12th-nearest other one.
+
+    Args:
+        points: around 0, where the differences of squares lose the fewest digits.
+        how: has the lower bound of distances.
+        block: for so many of them at a time distances are in memory.
+    """
+    distances = _neighbour_distances(points, block).clip(min=how.floor)
+    return float(np.log(distances).mean(dtype=np.float64))
+
+
+def _neighbour_distances(points: NDArray[Any], block: int) -> NDArray[Any]:
+    """To the 12th-nearest other point (n,), by matrix products of a block of rows at a time."""
+    squares = (points**2).sum(1)
+    found = np.empty(len(points), points.dtype)
+    for start in range(0, len(points), block):
+        rows = slice(start, start + block)
+        squared = squares[rows, None] + squares[None] - 2.0 * (points[rows] @ points.T)
+        # Each point is among its own neighbours, at a distance of 0 but for rounding.
+        squared[np.arange(len(squared)), np.arange(start, start + len(squared))] = np.inf
+        found[rows] = np.sqrt(np.partition(squared, NEIGHBOUR - 1, axis=1)[:, NEIGHBOUR - 1].clip(min=0.0))
+    return found
