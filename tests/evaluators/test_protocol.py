@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -38,10 +39,10 @@ def results(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def briefly() -> Iterator[None]:
-    """Walker's episodes are short in this process: how long they are changes nothing of what is proved here."""
+def briefly(domain: str = "walker") -> Iterator[None]:
+    """A domain's episodes are short in this process: how long they are changes nothing of what is proved here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(DOMAINS, "walker", BRIEF)
+        patch.setitem(DOMAINS, domain, replace(DOMAINS[domain], episode_length=BRIEF.episode_length))
         yield
 
 
@@ -145,11 +146,13 @@ def test_steps_shorten_a_run_with_its_schedule_and_milestones(smoke, tmp_path):
     ],
 )
 def test_every_algorithm_and_every_task(datasets, tmp_path, domain, tasks, algos):
-    """From nothing: collected, relabelled, trained and in the table."""
-    paths = cudc_bench.evaluate(
-        algos, domain, tasks, ["random"], profile="smoke", output=results(tmp_path), steps=20, workers=1,
-        settings={"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"},
-    )  # fmt: skip
+    """Collected, relabelled, trained and in the table."""
+    cudc_bench.relabel(*cudc_bench.collect("random", domain, profile="smoke"), tasks)
+    with briefly(domain):
+        paths = cudc_bench.evaluate(
+            algos, domain, tasks, ["random"], profile="smoke", output=results(tmp_path), steps=20, workers=1,
+            settings={"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"},
+        )  # fmt: skip
     records = [read_record(path) for path in paths]
     found = [(record.algorithm, record.dataset.task) for record in records]
     assert found == [(algo, task) for algo in algos for task in tasks]
