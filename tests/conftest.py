@@ -81,12 +81,17 @@ def environment(datasets: Path) -> dict[str, str]:
 
 @pytest.fixture
 def cli(environment: dict[str, str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Finished]:
-    """Runs ``cudc-bench`` as a process in ``tmp_path``: a new one, or where nothing depends on how it starts, a forked one."""
+    """Runs ``cudc-bench`` as a process in ``tmp_path``: a new one, or where nothing depends on how it starts, a forked one.
 
-    def run(*arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable, anew: bool = False) -> Finished:
+    If it is to be ``brief``, Walker's policies are tried in short episodes.
+    """
+
+    def run(
+        *arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable, anew: bool = False, brief: bool = False
+    ) -> Finished:
         whole = environment | dict(env or {})
         if not anew and interpreter == sys.executable and served.can_serve(whole):
-            return served.run(arguments, tmp_path, whole, tmp_path_factory.mktemp("said"))
+            return served.run(arguments, tmp_path, whole, tmp_path_factory.mktemp("said"), brief)
         command = [interpreter, "-m", "cudc_bench.cli", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=whole, capture_output=True, text=True, timeout=PATIENCE)
         return Finished(done.returncode, done.stdout, done.stderr)

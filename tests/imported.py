@@ -3,9 +3,6 @@
 import os
 import sys
 
-# Of "", where ``python -c`` started, packages would be looked for in whatever folder a command runs.
-sys.path[:] = [os.path.abspath(place) for place in sys.path]
-
 import matplotlib.figure  # noqa: F401
 import minari.cli  # noqa: F401
 import torch
@@ -13,6 +10,9 @@ import torch
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.cli import app
+
+# Of "", where ``python -c`` started, packages would be looked for in whatever folder a command runs.
+sys.path[:] = [os.path.abspath(place) for place in sys.path]
 
 for kind in ("collectors", "evaluators", "relabelers", "commands"):
     for name in plugins.names(kind):

@@ -2,9 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -29,6 +26,7 @@ from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 from cudc_bench.settings.seeding import episode_seed
 
+from ..served import briefly
 from .helpers import make, random_walker_data
 
 WALK = "walker/walk/cudc-v0"
@@ -36,14 +34,6 @@ WALK = "walker/walk/cudc-v0"
 
 def results(tmp_path: Path) -> Path:
     return tmp_path / "results"
-
-
-@contextmanager
-def briefly(domain: str = "walker") -> Iterator[None]:
-    """A domain's episodes are short in this process: how long they are changes nothing of what is proved here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(DOMAINS, domain, replace(DOMAINS[domain], episode_length=BRIEF.episode_length))
-        yield
 
 
 def evaluated(tmp_path: Path, **options) -> list[tuple[Path, Record]]:
@@ -385,8 +375,10 @@ def test_no_policy_is_kept_when_none_is_wanted(smoke, tmp_path):
 
 
 def test_the_command_line_takes_all_of_it(cli, smoke, tmp_path):
-    done = cli("evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000",
-               "--steps", "20", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1")  # fmt: skip
+    done = cli(
+        "evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000", "--steps", "20",
+        "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1", brief=True,
+    )  # fmt: skip
     assert done.code == 0, done.err
     paths = done.out.split()
     assert len(paths) == 8
