@@ -82,6 +82,7 @@ def _main(arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: 
     os.environ.clear()
     os.environ.update(env)
     sys.argv = ["cudc-bench", *arguments]
+    sys.path.insert(0, str(cwd))  # as ``python -m`` does
     from cudc_bench.cli import __main__ as command
 
     sys.modules["__main__"] = command
