@@ -8,13 +8,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import hypothesis
 import pytest
 
 import cudc_bench
 
+from . import served
+from .served import Finished
 from .slow import slow_tests, without_parameters
 from .waiting import PATIENCE
 
@@ -42,14 +43,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if without_parameters(item.nodeid) in slow:
             item.add_marker("slow")
-
-
-class Finished(NamedTuple):
-    """How a process ended."""
-
-    code: int
-    out: str
-    err: str
 
 
 @pytest.fixture(autouse=True)
@@ -87,12 +80,20 @@ def environment(datasets: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def cli(environment: dict[str, str], tmp_path: Path) -> Callable[..., Finished]:
-    """Runs ``cudc-bench`` as a process in ``tmp_path``."""
+def cli(environment: dict[str, str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Finished]:
+    """Runs ``cudc-bench`` as a process in ``tmp_path``: a new one, or where nothing depends on how it starts, a forked one.
 
-    def run(*arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable) -> Finished:
+    If it is to be ``brief``, Walker's policies are tried in short episodes.
+    """
+
+    def run(
+        *arguments: str, env: Mapping[str, str] | None = None, interpreter: str = sys.executable, anew: bool = False, brief: bool = False
+    ) -> Finished:
+        whole = environment | dict(env or {})
+        if not anew and interpreter == sys.executable and served.can_serve(whole):
+            return served.run(arguments, tmp_path, whole, tmp_path_factory.mktemp("said"), brief)
         command = [interpreter, "-m", "cudc_bench.cli", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=environment | dict(env or {}), capture_output=True, text=True, timeout=PATIENCE)
+        done = subprocess.run(command, cwd=tmp_path, env=whole, capture_output=True, text=True, timeout=PATIENCE)
         return Finished(done.returncode, done.stdout, done.stderr)
 
     return run

@@ -14,6 +14,8 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.records import read_record
 
+from .served import briefly
+
 OURS = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "proto", "random", "rnd", "smm"}
 STUDIED = {
     "cudc-vary-icm", "cudc-vary-apt", "cudc-reward", "cudc-reach", "cudc-no-entropy", "cudc-no-pe", "cudc-no-regularize", "cudc-no-vary",
@@ -45,7 +47,11 @@ def test_all_are_registered() -> None:
 
 @pytest.mark.parametrize("name", CHAINED)
 def test_the_whole_chain(name: str, tmp_path: Path) -> None:
-    (path,) = cudc_bench.evaluate(methods=[name], tasks=["walk"], profile="smoke", output=tmp_path / "results", steps=20, settings=SHORT)
+    cudc_bench.relabel(*cudc_bench.collect(name, profile="smoke"), ["walk"])
+    with briefly():
+        (path,) = cudc_bench.evaluate(
+            methods=[name], tasks=["walk"], profile="smoke", output=tmp_path / "results", steps=20, settings=SHORT
+        )
     assert read_record(Path(path)).dataset.method == name
     report = cudc_bench.make_leaderboard(tmp_path / "results", None)
     if name in STUDIED:

@@ -20,7 +20,7 @@ from cudc_bench.artefacts.records import read_record
 from cudc_bench.cli.app import main
 from cudc_bench.errors import DEBUG
 
-from .conftest import Finished
+from .served import Finished
 from .waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
@@ -200,7 +200,7 @@ def test_a_process_takes_any_bytes(environment: dict[str, str], tmp_path: Path) 
 
 
 def test_without_arguments_the_help_is_shown(cli: Callable) -> None:
-    done = cli()
+    done = cli(anew=True)
     assert done.code == 2
     assert all(command in done.out for command in COMMANDS)
     assert done.err == ""
@@ -212,16 +212,16 @@ def test_without_arguments_the_help_is_shown(cli: Callable) -> None:
 def test_the_calls_of_the_readme_and_what_they_leave(
     cli: Callable, here: Callable, datasets: Path, tmp_path: Path, collected_once: Path
 ) -> None:
-    collected = cli("collect", "--method", "cudc")
+    collected = cli("collect", "--method", "cudc", anew=True)
     assert (collected.code, collected.out) == (0, "walker/cudc-v0\n"), collected.err
     assert "profile smoke" in collected.err
     assert "next: cudc-bench relabel walker/cudc-v0" in collected.err
 
-    relabelled = cli("relabel", "walker/cudc-v0")
+    relabelled = cli("relabel", "walker/cudc-v0", anew=True)
     assert (relabelled.code, relabelled.out.split()) == (0, [f"walker/{task}/cudc-v0" for task in TASKS]), relabelled.err
     assert "next: cudc-bench evaluate" in relabelled.err
 
-    evaluated = cli("evaluate", "--algo", "td3")
+    evaluated = cli("evaluate", "--algo", "td3", anew=True)
     assert evaluated.code == 0, evaluated.err
     assert "next: cudc-bench leaderboard results" in evaluated.err
     assert "missing" not in evaluated.err
@@ -384,7 +384,7 @@ def test_list_works_where_nothing_exists(here: Callable, datasets: Path) -> None
 
 
 def test_doctor_checks_this_machine(cli: Callable, datasets: Path) -> None:
-    done = cli("doctor")
+    done = cli("doctor", anew=True)
     assert (done.code, done.err) == (0, ""), done.out
     assert "FAIL" not in done.out
     for check in ("python", "versions", "processor", "cuda", "rendering", "dataset root", "environment"):

@@ -683,7 +683,7 @@ def test_a_reward_function_that_fails_is_one_line_and_once_mended_the_same_comma
 
 
 def test_of_two_that_start_at_the_same_moment_one_works_and_the_other_names_it(tmp_path: Path) -> None:
-    races = {"collect": 50, "relabel": 10, "evaluate": 5}
+    races = {"collect": 16, "relabel": 6, "evaluate": 4}
     command = [sys.executable, "-m", "tests.racing", *(str(word) for pair in races.items() for word in pair)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr

@@ -28,7 +28,7 @@ RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random
 COLLECT = [*RANDOM, "--set", "steps=30000"]
 TWO = [*RANDOM, "--set", "steps=20000", "--seeds", "1-2", "--workers", "2"]
 
-KILLS = {"collect": 20, "evaluate": 10, "relabel": 8, "pilot": 5, "reference": 5, "suite": 3}
+KILLS = {"collect": 12, "evaluate": 6, "relabel": 6, "pilot": 3, "reference": 3, "suite": 2}
 
 
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ since small matrices gain nothing from being stacked there; on a GPU all members
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.progress import Advance, bars, say
 from cudc_bench.execution.workers import Died, Ended, Worker
 
+_THREADS = "OMP_NUM_THREADS"  # read by torch when it is imported
 _share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
 
@@ -156,12 +158,19 @@ def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Within this context torch uses the given number of threads."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
+    """Within this context torch uses the given number of threads; if it is first imported there, that or as many as there are cores."""
+    if (torch := sys.modules.get("torch")) is None:
+        before = os.environ.get(_THREADS)
+        os.environ[_THREADS] = str(count)
+    else:
+        before = torch.get_num_threads()
+        torch.set_num_threads(count)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        if torch is not None:
+            torch.set_num_threads(before)
+        elif before is None:
+            del os.environ[_THREADS]
+        else:
+            os.environ[_THREADS] = before

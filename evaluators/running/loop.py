@@ -141,6 +141,7 @@ class Arena:
         self._rewards = reward_function(domain.name)
         self._threads = threads
         self._simulators: list[Simulator] = []
+        self._kept: list[list[Simulator]] = []  # of each thread
         self._shares: list[slice] = []
 
     def evaluate(self, agent: Actor, seeds: Sequence[int], purpose: str, step: int, episodes: int) -> Float64:
@@ -211,10 +212,15 @@ class Arena:
     def _prepare(self, count: int, threads: int) -> None:
         """Simulators in equal shares; those of two threads have no model in common, since stepping sets and resets flags in it."""
         ends = [round(count * (index + 1) / threads) for index in range(threads)]
-        shares = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
-        if shares != self._shares:
-            self._simulators = [one for share in shares for one in make_simulators(self._domain.name, share.stop - share.start)]
-            self._shares = shares
+        self._shares = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+        self._kept += [[] for _ in range(threads - len(self._kept))]
+        self._simulators = []
+        for share, kept in zip(self._shares, self._kept, strict=False):
+            size = share.stop - share.start
+            # Evaluations of two sizes follow one another, and to compile a model takes as long as many steps.
+            if size > len(kept):
+                kept[:] = make_simulators(self._domain.name, size)
+            self._simulators += kept[:size]
 
 
 def run_evaluation(

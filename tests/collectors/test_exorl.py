@@ -633,7 +633,7 @@ def test_an_imported_dataset_goes_through_the_chain_in_a_column_of_its_own(
     done = cli("relabel", "walker/theirs-v0", "--task", "walk")
     assert (done.code, done.out) == (0, "walker/walk/theirs-v0\n"), done.err
     for dataset in (["--dataset-id", "walker/theirs-v0"], ["--method", "cudc"]):
-        done = cli("evaluate", "--algo", "td3", "--task", "walk", "--workers", "1", *dataset)
+        done = cli("evaluate", "--algo", "td3", "--task", "walk", "--workers", "1", *dataset, brief=True)
         assert done.code == 0, done.err
     record = read_record(tmp_path / "results" / "smoke" / "walker" / "walk" / "theirs-v0" / "td3-seed1.json")
     assert (record.dataset.source, record.dataset.method, record.dataset.profile, record.group) == ("ExORL", "cudc", "imported", "smoke")

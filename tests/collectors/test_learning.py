@@ -101,7 +101,7 @@ def visited(name: str) -> int:
     domain = Domain("point mass", (), 2, 2, 2, 100, 1.0, (), "", "", "")
     collector = make(name, (1,), Space("walker", 2, 2, 100, 500, 2), width=32, batch_size=64, feature_dim=16)
     places = Places()
-    config = CollectConfig(steps=4_000, seed_steps=500, update_every=2, measure_every=10**6)
+    config = CollectConfig(steps=3_000, seed_steps=500, update_every=2, measure_every=10**6)
     run_collection(collector, config, domain, [places], lambda n: None)
     return places.cells()
 

@@ -79,6 +79,8 @@ def test_in_this_process_the_first_signal_asks_and_the_second_ends(monkeypatch: 
 
 
 def test_threads_do_not_depend_on_how_many_jobs_are_left() -> None:
+    import torch  # noqa: F401  what is there already can have more threads than there are cores
+
     assert run_jobs(threads, jobs({}), unit="steps", workers=1, threads=3) == [3]
     alone = run_jobs(threads, jobs({}), unit="steps", workers=2, threads=None)
     assert alone == run_jobs(threads, jobs({}, {}), unit="steps", workers=2, threads=None)[:1]

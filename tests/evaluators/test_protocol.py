@@ -2,8 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,6 +26,7 @@ from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 from cudc_bench.settings.seeding import episode_seed
 
+from ..served import briefly
 from .helpers import make, random_walker_data
 
 WALK = "walker/walk/cudc-v0"
@@ -35,14 +34,6 @@ WALK = "walker/walk/cudc-v0"
 
 def results(tmp_path: Path) -> Path:
     return tmp_path / "results"
-
-
-@contextmanager
-def briefly() -> Iterator[None]:
-    """Walker's episodes are short in this process: how long they are changes nothing of what is proved here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(DOMAINS, "walker", BRIEF)
-        yield
 
 
 def evaluated(tmp_path: Path, **options) -> list[tuple[Path, Record]]:
@@ -145,11 +136,13 @@ def test_steps_shorten_a_run_with_its_schedule_and_milestones(smoke, tmp_path):
     ],
 )
 def test_every_algorithm_and_every_task(datasets, tmp_path, domain, tasks, algos):
-    """From nothing: collected, relabelled, trained and in the table."""
-    paths = cudc_bench.evaluate(
-        algos, domain, tasks, ["random"], profile="smoke", output=results(tmp_path), steps=20, workers=1,
-        settings={"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"},
-    )  # fmt: skip
+    """Collected, relabelled, trained and in the table."""
+    cudc_bench.relabel(*cudc_bench.collect("random", domain, profile="smoke"), tasks)
+    with briefly(domain):
+        paths = cudc_bench.evaluate(
+            algos, domain, tasks, ["random"], profile="smoke", output=results(tmp_path), steps=20, workers=1,
+            settings={"evaluate_every": "20", "milestones": "[20]", "evaluation_episodes": "1", "final_episodes": "1"},
+        )  # fmt: skip
     records = [read_record(path) for path in paths]
     found = [(record.algorithm, record.dataset.task) for record in records]
     assert found == [(algo, task) for algo in algos for task in tasks]
@@ -382,8 +375,10 @@ def test_no_policy_is_kept_when_none_is_wanted(smoke, tmp_path):
 
 
 def test_the_command_line_takes_all_of_it(cli, smoke, tmp_path):
-    done = cli("evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000",
-               "--steps", "20", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1")  # fmt: skip
+    done = cli(
+        "evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000", "--steps", "20",
+        "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1", brief=True,
+    )  # fmt: skip
     assert done.code == 0, done.err
     paths = done.out.split()
     assert len(paths) == 8

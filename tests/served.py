@@ -1,0 +1,90 @@
+"""``cudc-bench`` as a process that is forked from one which has imported everything: two seconds of a core less for each.
+
+What such a process does not show is how the command starts: what it imports, and what it reads of its environment while it does.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from .waiting import PATIENCE
+
+# What an interpreter, or a library that is imported before any command runs, reads once, from its environment.
+READ_AT_START = ("PYTHON", "MUJOCO_GL", "OMP_", "LD_")
+
+_server = multiprocessing.get_context("forkserver")
+_server.set_forkserver_preload(["tests.imported"])
+
+
+class Finished(NamedTuple):
+    """How a process ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@contextmanager
+def briefly(domain: str = "walker") -> Iterator[None]:
+    """A domain's evaluations have short episodes in this process: their length changes nothing of what most tests prove.
+
+    Data of the domain's own length cannot be collected meanwhile.
+    """
+    from cudc_bench.envs import DOMAINS
+    from cudc_bench.evaluators.contract import BRIEF
+
+    whole = DOMAINS[domain]
+    DOMAINS[domain] = replace(whole, episode_length=BRIEF.episode_length)
+    try:
+        yield
+    finally:
+        DOMAINS[domain] = whole
+
+
+def can_serve(env: Mapping[str, str]) -> bool:
+    """Whether a process that has started already can have this environment."""
+    return all(os.environ.get(name) == env.get(name) for name in {*os.environ, *env} if name.startswith(READ_AT_START))
+
+
+def run(arguments: Sequence[str], cwd: Path, env: Mapping[str, str], said: Path, brief: bool = False) -> Finished:
+    """Run ``cudc-bench`` and wait for its end.
+
+    Args:
+        arguments: of the command line.
+        cwd, env: the process's folder and whole environment.
+        said: an empty folder, for what it prints.
+        brief: see :func:`briefly`.
+    """
+    out, err = said / "out", said / "err"
+    process = _server.Process(target=_main, args=(list(arguments), cwd, dict(env), out, err, brief))
+    process.start()
+    process.join(PATIENCE)
+    if process.exitcode is None:
+        process.kill()
+        raise TimeoutError(f"cudc-bench {' '.join(arguments)} does not end")
+    return Finished(process.exitcode, out.read_text(), err.read_text())
+
+
+def _main(arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: Path, brief: bool) -> None:
+    """Become what ``python -m cudc_bench.cli`` is; the processes that it starts in turn take it for that."""
+    for number, path in ((1, out), (2, err)):
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, number)
+        os.close(file)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(env)
+    sys.argv = ["cudc-bench", *arguments]
+    sys.path.insert(0, str(cwd))  # as ``python -m`` does
+    from cudc_bench.cli import __main__ as command
+
+    sys.modules["__main__"] = command
+    with briefly() if brief else nullcontext():
+        command.main()
