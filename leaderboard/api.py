@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Bounds, read_references
@@ -13,16 +14,27 @@ from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder, check_path
 from cudc_bench.text import plain
 
-from .figures import curve_files, draw_bars, figure_files, task_files
-from .files import only
-from .grid_files import study_files
-from .incremental import Part, build, digest, holds
-from .load import Loaded, kept_from_collector, load_records
-from .missing import Missing, find_missing
-from .overall import Overall, build_overall
-from .overall_figures import overall_figure_files
-from .published import beside_paper
-from .render import (
+from .datasets.behind import datasets_of
+from .datasets.diagnostics import DiagnosticsReport, compare_stored
+from .datasets.quality import QualityReport, measure_stored
+from .intake.chosen import only
+from .intake.load import Loaded, kept_from_collector, load_records
+from .numbers.missing import Missing, find_missing
+from .numbers.overall import Overall, build_overall
+from .numbers.published import beside_paper
+from .numbers.studies import build_studies
+from .numbers.study import Study
+from .numbers.table import Table, build_blocks, tables_of
+from .output.files import write_files
+from .output.incremental import Part, build, digest, holds
+from .output.measured import find_local
+from .show.figures.comparisons import overall_figure_files
+from .show.figures.diagnostics import diagnostic_files
+from .show.figures.drawing import figure_files
+from .show.figures.runs import curve_files, draw_bars, task_files
+from .show.grid_files import study_files
+from .show.quality_files import quality_files
+from .show.render import (
     overall_to_csv,
     overall_to_latex,
     overall_to_markdown,
@@ -35,12 +47,67 @@ from .render import (
     to_latex,
     to_markdown,
 )
-from .site.datasets import datasets_of, find_local
 from .site.pages import site_files
 from .site.parts import Run, Site, run_of
-from .studies import build_studies
-from .study import Study
-from .table import Table, build_blocks, tables_of
+
+if TYPE_CHECKING:
+    pass
+
+
+def draw_diagnostics(
+    dataset_ids: str | Sequence[str] | None = None,
+    output: str | Path | None = "report",
+    domain: str | None = None,
+    methods: Sequence[str] | None = None,
+) -> DiagnosticsReport:
+    """Draw k, the losses and the representations of collectors over environment steps, from the diagnostics beside their datasets.
+
+    For each domain and group ``<output>/<slug>/`` gets ``k``, ``losses`` and ``representation`` as ``.svg`` and ``.pdf``, without those
+    that no method has values for; each file is replaced whole. The same datasets give the same bytes.
+
+    Args:
+        dataset_ids: task-agnostic datasets that were collected here; all below the dataset root unless given.
+        output: the folder to write to; None writes nothing.
+        domain, methods: only datasets of that domain, of these methods.
+
+    Raises:
+        UsageError: there is no such dataset, none of that domain or method, or one that was named has no diagnostics (it is labelled or
+            imported); the output cannot be a folder.
+        RunError: a dataset's diagnostics are damaged, or a file could not be written.
+    """
+    folder = None if output is None else check_folder(output, "output")
+    comparisons, remarks = compare_stored(dataset_ids, domain, methods)
+    files: list[Path] = []
+    if folder is not None:
+        for comparison in comparisons:
+            files += write_files(folder / comparison.slug, diagnostic_files(comparison))
+    return DiagnosticsReport(comparisons, remarks, files)
+
+
+def measure_quality(
+    dataset_ids: str | Sequence[str] | None = None,
+    output: str | Path | None = "report",
+    domain: str | None = None,
+    methods: Sequence[str] | None = None,
+) -> QualityReport:
+    """Measure datasets without training on them: reward density for all tasks, coverage, entropy, statistics of actions.
+
+    For each domain and group ``<output>/<slug>/`` gets ``quality.md``, ``quality.csv``, ``density.svg`` and ``density.pdf``; each file is
+    replaced whole. The same datasets give the same bytes.
+
+    Args:
+        dataset_ids: task-agnostic datasets; all below the dataset root unless given.
+        output: the folder to write to; None writes nothing.
+        domain, methods: only datasets of that domain, of these methods.
+
+    Raises:
+        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states; the output cannot be a folder.
+        RunError: a dataset is damaged, or a file could not be written.
+    """
+    folder = None if output is None else check_folder(output, "output")
+    tables, remarks = measure_stored(dataset_ids, domain, methods)
+    files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
+    return QualityReport(tables, remarks, files)
 
 
 @dataclass(frozen=True)

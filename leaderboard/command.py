@@ -29,8 +29,8 @@ def leaderboard(
     from cudc_bench.execution.progress import say
 
     from . import api
-    from .grid_files import to_rich as study_to_rich
-    from .render import overall_to_rich, to_rich
+    from .show.grid_files import to_rich as study_to_rich
+    from .show.render import overall_to_rich, to_rich
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
     screen = Console(highlight=False)
@@ -65,8 +65,8 @@ def submit(
     """Check somebody else's records and add them to ours, marked as theirs."""
     from cudc_bench.execution.progress import say
 
-    from .submit import RefusedError
-    from .submit import submit as run
+    from .intake.submit import RefusedError
+    from .intake.submit import submit as run
 
     try:
         received = run(records, by, url=url, note=note, output=output, overwrite=overwrite)
@@ -90,8 +90,8 @@ def diagnostics(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Draw how k and the losses of collectors went."""
-    from .diagnostic_figures import draw_diagnostics
-    from .render import diagnostics_to_rich
+    from .api import draw_diagnostics
+    from .show.render import diagnostics_to_rich
 
     report = draw_diagnostics(dataset_ids or None, output, domain, _methods(method))
     _show(map(diagnostics_to_rich, report.comparisons), report.remarks, report.files)
@@ -104,7 +104,8 @@ def stats(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
-    from .quality_files import measure_quality, to_rich
+    from .api import measure_quality
+    from .show.quality_files import to_rich
 
     report = measure_quality(dataset_ids or None, output, domain, _methods(method))
     _show(map(to_rich, report.tables), report.remarks, report.files)

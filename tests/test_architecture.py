@@ -162,7 +162,7 @@ def test_records_and_data_need_neither_torch_nor_a_simulator(path: Path) -> None
     [
         "cudc_bench",
         "cudc_bench.leaderboard.api",
-        "cudc_bench.leaderboard.diagnostics",
+        "cudc_bench.leaderboard.datasets.diagnostics",
         "cudc_bench.data.reader",
         "cudc_bench.data.writer",
         "cudc_bench.envs",

@@ -10,14 +10,14 @@ from math import ceil
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
 
-from ..load import short
-from ..missing import Missing
-from ..overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
-from ..power import FOUND
-from ..published import Beside, beside_paper
-from ..scale import Scale, largest_return
-from ..statistics import student
-from ..table import Cell, Row, Section, Table, seed_scores, span
+from ..numbers.missing import Missing
+from ..numbers.overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..numbers.power import FOUND
+from ..numbers.published import Beside, beside_paper
+from ..numbers.scale import Scale, largest_return
+from ..numbers.statistics import student
+from ..numbers.table import Cell, Row, Section, Table, seed_scores
+from ..numbers.words import short, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
 from .parts import (
     Board,

@@ -10,12 +10,13 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.data.card import facts_of
 from cudc_bench.text import plain
 
-from ..load import column, short
-from ..overall import LEAD, NAMES
-from ..scale import CEILING, FLOOR
-from ..statistics import student
-from ..table import Table
-from .datasets import Dataset, Local
+from ..datasets.behind import Dataset, Local
+from ..numbers.columns import column
+from ..numbers.overall import LEAD, NAMES
+from ..numbers.scale import CEILING, FLOOR
+from ..numbers.statistics import student
+from ..numbers.table import Table
+from ..numbers.words import short
 from .methods import describe
 from .models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
 from .parts import (

@@ -14,15 +14,16 @@ from cudc_bench.artefacts.references import reference_path
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.text import plain
 
-from ..figures import looks
-from ..load import column
-from ..missing import Missing
-from ..overall import Overall
-from ..published import Beside, beside_paper
-from ..scale import CEILING, FLOOR, LABELS, Scale, scale_of
-from ..study import Study
-from ..table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered, span
-from .datasets import Dataset, Local, datasets_of
+from ..datasets.behind import Dataset, Local, datasets_of
+from ..methods import METHOD_ORDER, looks
+from ..numbers.columns import column
+from ..numbers.missing import Missing
+from ..numbers.overall import Overall
+from ..numbers.published import Beside, beside_paper
+from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
+from ..numbers.study import Study
+from ..numbers.table import ENOUGH_SEEDS, Row, Section, Table
+from ..numbers.words import file_word, group_slug, ordered, span
 from .models import MISSING, Exhibit, Figure, Item, Line, swatch
 
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.artefacts.records import Record
 
-from ..load import short
-from ..table import ENOUGH_SEEDS, Table, span
+from ..numbers.table import ENOUGH_SEEDS, Table
+from ..numbers.words import short, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
 from .parts import (
     Board,

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.artefacts.records import Record
 
-from .. import grid as study_grid
-from ..grid_files import text
-from ..load import column
-from ..plans import canonical
-from ..study import Study
-from ..table import ENOUGH_SEEDS
+from ..methods import canonical
+from ..numbers import grid as study_grid
+from ..numbers.columns import column
+from ..numbers.study import Study
+from ..numbers.table import ENOUGH_SEEDS
+from ..show.grid_files import text
 from .models import Exhibit, Figure, Grid, Heading, Item, Line, Page
 from .parts import Board, Parts, method_path, runs_path, study_path
 

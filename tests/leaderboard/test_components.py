@@ -11,18 +11,19 @@ import pytest
 from rich.console import Console
 
 from cudc_bench.artefacts.records import Evaluation, Record
-from cudc_bench.leaderboard.components import ALL_TASKS, BETWEEN, POOLED, WITHIN, components
-from cudc_bench.leaderboard.figures import curve, draw_bars, draw_curves
-from cudc_bench.leaderboard.grid import Entry
-from cudc_bench.leaderboard.grid_files import study_files, to_csv, to_latex, to_markdown, to_rich
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.render import overall_to_csv, scores_to_csv
-from cudc_bench.leaderboard.render import to_csv as table_to_csv
+from cudc_bench.leaderboard.numbers.components import ALL_TASKS, BETWEEN, POOLED, WITHIN, components
+from cudc_bench.leaderboard.numbers.figures import curve
+from cudc_bench.leaderboard.numbers.grid import Entry
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.studies import build_studies
+from cudc_bench.leaderboard.numbers.study import Study
+from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.figures.runs import draw_bars, draw_curves
+from cudc_bench.leaderboard.show.grid_files import study_files, to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.show.render import overall_to_csv, scores_to_csv
+from cudc_bench.leaderboard.show.render import to_csv as table_to_csv
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site
-from cudc_bench.leaderboard.studies import build_studies
-from cudc_bench.leaderboard.study import Study
-from cudc_bench.leaderboard.table import build_blocks, build_tables, tables_of
 
 # Davies and Goldsmith 1972, table 6.1 (lme4's "Dyestuff"): yields of five samples of each of six batches.
 DYESTUFF = [

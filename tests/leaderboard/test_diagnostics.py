@@ -20,10 +20,11 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import KEY, Base, Import, Manifest, metadata_path
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.leaderboard.diagnostic_figures import diagnostic_files, draw_diagnostics, draw_k, draw_losses, draw_representation
-from cudc_bench.leaderboard.diagnostics import LOSSES, REPRESENTATION, compare, read_diagnostics, series
-from cudc_bench.leaderboard.figures import looks
-from cudc_bench.leaderboard.render import diagnostics_to_rich
+from cudc_bench.leaderboard.api import draw_diagnostics
+from cudc_bench.leaderboard.datasets.diagnostics import REPRESENTATION, compare, read_diagnostics, series
+from cudc_bench.leaderboard.methods import LOSSES, looks
+from cudc_bench.leaderboard.show.figures.diagnostics import diagnostic_files, draw_k, draw_losses, draw_representation
+from cudc_bench.leaderboard.show.render import diagnostics_to_rich
 
 Rows = Sequence[dict[str, Any]]
 FIGURES = {"k.svg", "k.pdf", "losses.svg", "losses.pdf"}  # and, where one was measured, of the representation

@@ -19,10 +19,11 @@ from rich.console import Console
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import write_record
 from cudc_bench.cli.app import main
-from cudc_bench.leaderboard.load import load_records
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.published import beside_paper
-from cudc_bench.leaderboard.render import (
+from cudc_bench.leaderboard.intake.load import load_records
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.published import beside_paper
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.render import (
     overall_to_csv,
     overall_to_latex,
     overall_to_markdown,
@@ -36,7 +37,6 @@ from cudc_bench.leaderboard.render import (
     to_markdown,
     to_rich,
 )
-from cudc_bench.leaderboard.table import build_tables
 from cudc_bench.text import visible
 
 HOSTILE = [

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cudc_bench.leaderboard import api
-from cudc_bench.leaderboard.incremental import LEDGER, Part, build, computed
+from cudc_bench.leaderboard.output.incremental import LEDGER, Part, build, computed
 
 
 def below(folder: Path) -> dict[str, bytes]:

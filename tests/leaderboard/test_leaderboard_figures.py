@@ -7,8 +7,10 @@ import matplotlib
 import numpy as np
 import pytest
 
-from cudc_bench.leaderboard.figures import COLOURS, curve, curve_files, draw_curves, looks
-from cudc_bench.leaderboard.table import METHOD_ORDER, build_tables
+from cudc_bench.leaderboard.methods import COLOURS, METHOD_ORDER, looks
+from cudc_bench.leaderboard.numbers.figures import curve
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.figures.runs import curve_files, draw_curves
 
 
 def only(records):

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from cudc_bench.artefacts.records import write_record
-from cudc_bench.leaderboard.load import load_records, plain, to_frame
+from cudc_bench.leaderboard.intake.load import load_records, to_frame
+from cudc_bench.text import plain
 
 
 def test_reads_files_and_folders_once_each(make_record, save, tmp_path):

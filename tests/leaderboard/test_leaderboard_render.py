@@ -8,8 +8,8 @@ import pytest
 from markdown_it import MarkdownIt
 from rich.console import Console
 
-from cudc_bench.leaderboard.render import escape_latex, escape_markdown, to_csv, to_latex, to_markdown, to_rich
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.render import escape_latex, escape_markdown, to_csv, to_latex, to_markdown, to_rich
 
 HOSTILE = "[bold]x[/bold] | *a* _b_ `c` <script> &amp; $m$ #1 100% {z} ~ ^ \\input{/etc/passwd} -- \x1b[31m\nnew"
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cudc_bench.leaderboard.figures import draw_curves
-from cudc_bench.leaderboard.load import to_frame
-from cudc_bench.leaderboard.table import build_tables, short
+from cudc_bench.leaderboard.intake.load import to_frame
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.numbers.words import short
+from cudc_bench.leaderboard.show.figures.runs import draw_curves
 
 
 def only(records):

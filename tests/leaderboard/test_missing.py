@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.missing import find_missing
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.numbers.missing import find_missing
+from cudc_bench.leaderboard.numbers.table import build_tables
 
 TASKS = ("stand", "walk", "run", "flip")
 

@@ -22,13 +22,14 @@ from rich.console import Console
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.leaderboard import statistics
-from cudc_bench.leaderboard.figures import _STYLE
-from cudc_bench.leaderboard.overall import ALL, THRESHOLDS, Overall, build_overall
-from cudc_bench.leaderboard.overall_figures import draw_domains, draw_intervals, draw_profiles, draw_ranks, overall_figure_files
-from cudc_bench.leaderboard.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
-from cudc_bench.leaderboard.statistics import Interval
-from cudc_bench.leaderboard.table import METHOD_ORDER, build_tables
+from cudc_bench.leaderboard.methods import METHOD_ORDER
+from cudc_bench.leaderboard.numbers import statistics
+from cudc_bench.leaderboard.numbers.overall import ALL, THRESHOLDS, Overall, build_overall
+from cudc_bench.leaderboard.numbers.statistics import Interval
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles, draw_ranks, overall_figure_files
+from cudc_bench.leaderboard.show.figures.drawing import _STYLE
+from cudc_bench.leaderboard.show.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
 
 quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

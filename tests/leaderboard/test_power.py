@@ -13,11 +13,11 @@ from scipy import stats
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Bounds
-from cudc_bench.leaderboard import power as ours
-from cudc_bench.leaderboard import statistics
-from cudc_bench.leaderboard.overall import Overall, build_overall
-from cudc_bench.leaderboard.render import overall_to_latex, overall_to_markdown, overall_to_rich, power_to_csv
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.numbers import power as ours
+from cudc_bench.leaderboard.numbers import statistics
+from cudc_bench.leaderboard.numbers.overall import Overall, build_overall
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.render import overall_to_latex, overall_to_markdown, overall_to_rich, power_to_csv
 
 TASKS = ("stand", "walk", "run", "flip")
 COVARIANCE = 0.05**2 * (0.3 * np.eye(4) + 0.7) * np.outer([1, 1, 0.4, 0.7], [1, 1, 0.4, 0.7])

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from cudc_bench.errors import RunError
-from cudc_bench.leaderboard import published
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.published import beside_paper, reported, reported_relative
-from cudc_bench.leaderboard.render import paper_to_csv, paper_to_latex, paper_to_markdown
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.numbers import published
+from cudc_bench.leaderboard.numbers.published import beside_paper, reported, reported_relative
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.render import paper_to_csv, paper_to_latex, paper_to_markdown
 
 MILESTONES = {"milestones": [100_000, 500_000], "profile": "paper"}
 TASKS = ("stand", "walk", "run", "flip")

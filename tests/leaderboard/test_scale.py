@@ -15,14 +15,18 @@ from cudc_bench.artefacts.records import Evaluation, Record
 from cudc_bench.artefacts.references import Bounds, Reference, ReferenceRun, reference_path, write_reference
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.figures import draw_bars, draw_curves, draw_task
-from cudc_bench.leaderboard.grid import Entry, Grid
-from cudc_bench.leaderboard.grid_files import to_csv as grid_to_csv
-from cudc_bench.leaderboard.grid_files import to_markdown as grid_to_markdown
-from cudc_bench.leaderboard.overall import ALL, Overall, build_overall
-from cudc_bench.leaderboard.overall_figures import draw_domains, draw_intervals, draw_profiles
-from cudc_bench.leaderboard.published import beside_paper
-from cudc_bench.leaderboard.render import (
+from cudc_bench.leaderboard.numbers.grid import Entry, Grid
+from cudc_bench.leaderboard.numbers.overall import ALL, Overall, build_overall
+from cudc_bench.leaderboard.numbers.published import beside_paper
+from cudc_bench.leaderboard.numbers.scale import BETWEEN, OF_LARGEST, scale_of, serving
+from cudc_bench.leaderboard.numbers.studies import build_studies
+from cudc_bench.leaderboard.numbers.study import SCORE, Study
+from cudc_bench.leaderboard.numbers.table import Table, build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles
+from cudc_bench.leaderboard.show.figures.runs import draw_bars, draw_curves, draw_task
+from cudc_bench.leaderboard.show.grid_files import to_csv as grid_to_csv
+from cudc_bench.leaderboard.show.grid_files import to_markdown as grid_to_markdown
+from cudc_bench.leaderboard.show.render import (
     overall_to_markdown,
     overall_to_rich,
     paper_to_csv,
@@ -34,10 +38,6 @@ from cudc_bench.leaderboard.render import (
     to_markdown,
     to_rich,
 )
-from cudc_bench.leaderboard.scale import BETWEEN, OF_LARGEST, scale_of, serving
-from cudc_bench.leaderboard.studies import build_studies
-from cudc_bench.leaderboard.study import SCORE, Study
-from cudc_bench.leaderboard.table import Table, build_blocks, build_tables, tables_of
 from cudc_bench.settings.config import as_dict, build, config_hash
 from cudc_bench.settings.evaluate_config import OnlineConfig
 from cudc_bench.settings.profiles import PROFILES

@@ -20,13 +20,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cudc_bench.artefacts.records import Record
-from cudc_bench.leaderboard.missing import find_missing
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.published import reported
+from cudc_bench.leaderboard.numbers.missing import find_missing
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.published import reported
+from cudc_bench.leaderboard.numbers.studies import build_studies
+from cudc_bench.leaderboard.numbers.table import build_blocks, tables_of
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site, brief
-from cudc_bench.leaderboard.studies import build_studies
-from cudc_bench.leaderboard.table import build_blocks, tables_of
 
 from ..waiting import PATIENCE
 

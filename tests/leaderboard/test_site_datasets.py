@@ -10,9 +10,10 @@ import cudc_bench
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.site import datasets as site_datasets
-from cudc_bench.leaderboard.site.datasets import base_id, datasets_of, find_local
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.datasets.behind import base_id, datasets_of
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.output import measured as site_datasets
+from cudc_bench.leaderboard.output.measured import find_local
 
 
 def of(*records):

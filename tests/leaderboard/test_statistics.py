@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import optimize, special, stats
 
-from cudc_bench.leaderboard import statistics as ours
+from cudc_bench.leaderboard.numbers import statistics as ours
 
 RNG = np.random.default_rng(7)
 SCORES = RNG.random((5, 12))

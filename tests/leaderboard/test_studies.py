@@ -20,18 +20,20 @@ from scipy import stats
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.records import Record
-from cudc_bench.leaderboard import statistics
 from cudc_bench.leaderboard.api import Report, make_leaderboard
-from cudc_bench.leaderboard.figures import _STYLE, draw_bars, figure_files, filled, legend, looks
-from cudc_bench.leaderboard.grid import Column, Entry, Grid, number
-from cudc_bench.leaderboard.grid_files import to_csv, to_latex, to_markdown, to_rich
-from cudc_bench.leaderboard.overall import ALL, build_overall
-from cudc_bench.leaderboard.plans import ABLATION, ALIASES, K_BOUND, PLANS, STUDY_METHODS, VARIANTS, canonical
-from cudc_bench.leaderboard.published import reported, reported_relative
-from cudc_bench.leaderboard.sizes import area_weights
-from cudc_bench.leaderboard.studies import build_studies
-from cudc_bench.leaderboard.study import SCORE, Study
-from cudc_bench.leaderboard.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.methods import ALIASES, canonical, looks
+from cudc_bench.leaderboard.numbers import statistics
+from cudc_bench.leaderboard.numbers.grid import Column, Entry, Grid, number
+from cudc_bench.leaderboard.numbers.overall import ALL, build_overall
+from cudc_bench.leaderboard.numbers.plans import ABLATION, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
+from cudc_bench.leaderboard.numbers.published import reported, reported_relative
+from cudc_bench.leaderboard.numbers.sizes import area_weights
+from cudc_bench.leaderboard.numbers.studies import build_studies
+from cudc_bench.leaderboard.numbers.study import SCORE, Study
+from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.figures.drawing import _STYLE, figure_files, filled, legend
+from cudc_bench.leaderboard.show.figures.runs import draw_bars
+from cudc_bench.leaderboard.show.grid_files import to_csv, to_latex, to_markdown, to_rich
 
 TASKS = ("stand", "walk", "run", "flip")
 PAPER = {"milestones": [100_000, 500_000], "profile": "paper", "dataset_steps": 1_000_000}

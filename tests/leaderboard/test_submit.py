@@ -21,12 +21,13 @@ from cudc_bench.artefacts.records import Record, read_record
 from cudc_bench.cli.app import main
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.load import column, load_records
-from cudc_bench.leaderboard.missing import find_missing
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.render import overall_to_markdown, to_latex, to_markdown
-from cudc_bench.leaderboard.submit import RefusedError, submit
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.intake.load import load_records
+from cudc_bench.leaderboard.intake.submit import RefusedError, submit
+from cudc_bench.leaderboard.numbers.columns import column
+from cudc_bench.leaderboard.numbers.missing import find_missing
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.render import overall_to_markdown, to_latex, to_markdown
 from cudc_bench.settings.config import config_hash
 
 from .test_hostile_records import changed
