@@ -1,4 +1,4 @@
-"""Independent jobs on the cores of one machine, each with its own progress bar.
+"""Independent jobs on the cores of one machine, each with its own progress bar; and functions that only compute, with one for all.
 
 A job is a top-level function called as ``function(advance, **arguments)``. On a CPU every member of a stack is a job of its own,
 since small matrices gain nothing from being stacked there; on a GPU all members share one job.
@@ -7,17 +7,22 @@ since small matrices gain nothing from being stacked there; on a GPU all members
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from multiprocessing import get_context, parent_process
+from typing import Any, TypeVar
 
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
-from cudc_bench.execution.progress import Advance, bars, say
-from cudc_bench.execution.workers import Died, Ended, Worker, close, listen
+from cudc_bench.execution.progress import Advance, bar_if_long, bars, say
+from cudc_bench.execution.workers import Died, Ended, Tell, Worker, close, listen
 
+T = TypeVar("T")
+_FEW = 6  # So many functions are done as fast by one process as others need to start.
 _share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
 
@@ -93,12 +98,64 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
     threads = threads or max(1, cores() // workers)
     with bars([(job.description, job.total) for job in jobs], unit) as advances:
         if min(workers, len(jobs)) > 1:
-            return _run_in_processes(function, jobs, advances, workers, threads)
+            return _run_in_processes(partial(_work, function, threads), jobs, advances, workers)
         with interrupts.leave_well():
             return [_call(function, job, threads, advance) for job, advance in zip(jobs, advances, strict=True)]
 
 
-def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
+def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, few: int = _FEW) -> list[T]:
+    """What some functions return, in their order; where there are more than a ``few``, the cores share them.
+
+    The processes are forked: they have everything that this one has, so that functions may be closures and nothing is copied. The first
+    Ctrl-C waits for what has begun, and nothing is kept.
+
+    Raises:
+        RunError: a process died.
+    """
+    with bar_if_long(description, len(functions), unit) as advance:
+        if len(functions) <= few or not _can_fork():
+            results = []
+            for function in functions:
+                results.append(function())
+                advance(1)
+            return results
+
+        def do(task: tuple[int, Job], tell: Tell) -> T:
+            result = functions[task[0]]()
+            tell(1)
+            return result
+
+        jobs = [Job(description, 1)] * len(functions)
+        # Outside of both, so that a request is not forgotten that comes when the last function ends.
+        with warnings.catch_warnings(), interrupts.leave_well(saves=False):
+            # Python warns of every thread; those of NumPy's libraries are made for it.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            try:
+                found = _run_in_processes(do, jobs, [advance] * len(jobs), cores(), get_context("fork"))
+            except interrupts.Interrupted:
+                found = []
+            if interrupts.requested():
+                raise KeyboardInterrupt
+            return found
+
+
+def _can_fork() -> bool:
+    # A lock that another thread holds at that moment would stay locked for ever in the new process.
+    return cores() > 1 and threading.active_count() == 1 and parent_process() is None
+
+
+def _run_in_processes(
+    do: Callable[[tuple[int, Job], Tell], Any], jobs: list[Job], advances: Sequence[Advance], workers: int, context: Any = None
+) -> list[Any]:
+    """What ``do`` returns of each job with its number; it tells how far it is.
+
+    Args:
+        do: with a ``context`` that forks anything, else it must be picklable.
+        jobs: what to do.
+        advances: of each job's bar.
+        workers: how many processes at most.
+        context: how they start; anew, and with their state saved when they are asked to leave, unless given.
+    """
     pool: list[Worker[tuple[int, Job]]] = []
     left = list(reversed(list(enumerate(jobs))))
     results: dict[int, Any] = {}
@@ -125,11 +182,11 @@ def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: l
             if not isinstance(news.error, interrupts.Interrupted) and any(worker.task is not None for worker in pool):
                 say(f"{jobs[index].description} failed, the others that have begun go on: {news.error}")
 
-    with interrupts.leave_well(pass_on):
+    with interrupts.leave_well(pass_on, saves=context is None):
         try:
             while True:
                 while goes_on() and len(pool) < workers:
-                    pool.append(Worker(partial(_work, function, threads)))
+                    pool.append(Worker(do, saves=None if context is None else lambda _: False, context=context))
                     pool[-1].give(left.pop())
                 if interrupts.requested():
                     pass_on()

@@ -32,10 +32,10 @@ import numpy as np
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.execution.parallel import computed
 from cudc_bench.text import plain
 
 from ..methods import METHOD_ORDER
-from ..output.incremental import computed
 from . import statistics
 from .columns import column, submitted_columns
 from .power import FOUND, Power, power_of

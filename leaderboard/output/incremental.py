@@ -10,33 +10,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-import threading
-import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from multiprocessing import get_context, parent_process
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any
 
 import cudc_bench
-from cudc_bench.errors import RunError
-from cudc_bench.execution.parallel import cores
-from cudc_bench.execution.progress import bar_if_long
+from cudc_bench.execution.parallel import computed
 from cudc_bench.files import remove_empty_above, unwritable, write_atomically
 
 from .files import write_files
 
 LEDGER = ".ledger.json"
 _LIBRARIES = ("jinja2", "matplotlib", "numpy", "pandas", "scipy")
-_FEW = 6  # So many parts are made as fast by one process as others need to start.
-T = TypeVar("T")
 Contents = Mapping[str, str | bytes]
 
 
@@ -130,52 +120,6 @@ def _bring(output: Path, parts: Sequence[Part], ledger: Mapping[str, Any]) -> di
         write_files(output / part.folder, contents)
         entries[part.place] = {"key": keys[part.place], "folder": part.folder, "files": sums}
     return entries
-
-
-def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, few: int = _FEW) -> Iterator[T]:
-    """What some functions return, in their order; where there are more than a ``few``, the cores share them.
-
-    The processes are forked: they have everything that this one has, so that functions may be closures and nothing is copied.
-
-    Raises:
-        RunError: a process was killed.
-    """
-    with bar_if_long(description, len(functions), unit) as advance:
-        for result in _forked(functions) if len(functions) > few and _can_fork() else (function() for function in functions):
-            yield result
-            advance(1)
-
-
-def _can_fork() -> bool:
-    # A lock that another thread holds at that moment would stay locked for ever in the new process.
-    return cores() > 1 and threading.active_count() == 1 and parent_process() is None
-
-
-_functions: Sequence[Callable[[], Any]] = ()
-
-
-def _forked(functions: Sequence[Callable[[], T]]) -> Iterator[T]:
-    global _functions
-    _functions = functions
-    try:
-        with warnings.catch_warnings():
-            # Python warns of every thread; those of NumPy's libraries are made for it.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            pool = ProcessPoolExecutor(min(cores(), len(functions)), get_context("fork"), _begin)
-            with pool:
-                yield from pool.map(_call, range(len(functions)))
-    except BrokenProcessPool:
-        raise RunError("a process that made files was killed, perhaps for want of memory; run the same command again.") from None
-    finally:
-        _functions = ()
-
-
-def _begin() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it says that it was interrupted
-
-
-def _call(index: int) -> Any:
-    return _functions[index]()
 
 
 @cache

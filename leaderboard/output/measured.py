@@ -15,6 +15,7 @@ from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, UsageError
+from cudc_bench.execution.parallel import computed
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
@@ -24,7 +25,6 @@ from ..show.figures.diagnostics import diagnostic_files
 from ..show.figures.drawing import figure_files
 from ..show.figures.quality import draw_density
 from .files import write_files
-from .incremental import computed
 
 FOLDER = "datasets"  # in the output, of these pages and of what they show
 MEASURES = "measures.json"  # in that folder: what was measured, by fingerprint, so that it is measured once

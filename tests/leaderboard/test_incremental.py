@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cudc_bench.leaderboard import api
-from cudc_bench.leaderboard.output.incremental import LEDGER, Part, build, computed
+from cudc_bench.leaderboard.output.incremental import LEDGER, Part, build
 
 
 def below(folder: Path) -> dict[str, bytes]:
@@ -93,10 +93,6 @@ def test_a_ledger_from_anywhere_removes_nothing_outside(folder: str, name: str, 
     (tmp_path / "out" / LEDGER).write_text(json.dumps(ledger))
     build(tmp_path / "out", parts_of({"a": 1}, []))
     assert victim.read_text() == "a 1"
-
-
-def test_many_functions_give_their_results_in_order() -> None:
-    assert list(computed([lambda number=number: number**2 for number in range(40)], "squaring", "numbers")) == [n**2 for n in range(40)]
 
 
 def test_a_leaderboard_is_made_again_where_records_changed(
