@@ -1,4 +1,4 @@
-"""What figures show, as plain data; :mod:`..show.figures` draws it."""
+"""What figures show, as plain data; :func:`~..show.figures.draw.draw` knows how each kind is drawn."""
 
 from __future__ import annotations
 
@@ -10,16 +10,63 @@ from typing import TYPE_CHECKING
 from cudc_bench.artefacts.records import Record
 
 from .grid import Entry
+from .overall import Estimate
 from .scale import References
-from .table import Cell, seed_scores
+from .table import Cell, Runs, seed_scores
 
 if TYPE_CHECKING:
     pass
 
 
 @dataclass(frozen=True)
+class Curves:
+    """Returns over gradient steps, a panel for each task, a line for each method."""
+
+    runs: Runs
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Mean returns at each milestone, a panel for each task, a bar for each method."""
+
+    runs: Runs
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Mean returns over the largest k, a panel for each task, a line for each milestone.
+
+    Attributes:
+        runs: the study's.
+        largest: the largest k of each method.
+    """
+
+    runs: Runs
+    largest: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Estimates with their intervals, a panel for each name, a row for each method.
+
+    Attributes:
+        title: of the whole.
+        methods: the rows.
+        panels: what to draw of them; a method may be absent from some.
+        smaller: the panel in which smaller values are better.
+        alike: whether all panels are of one quantity, and so have one axis.
+    """
+
+    title: str
+    methods: tuple[str, ...]
+    panels: Mapping[str, Mapping[str, Estimate]]
+    smaller: str | None = None
+    alike: bool = False
+
+
+@dataclass(frozen=True)
 class Sizes:
-    """Scores over dataset sizes, for figures.
+    """Scores over dataset sizes, a panel for each task and one for their mean, a line for each method.
 
     Attributes:
         group, algorithm, domain: which; ``group`` on one line.
@@ -43,6 +90,9 @@ class Sizes:
     scores: Mapping[tuple[int, str], Entry] = field(repr=False)
     seeds: str
     references: References = field(default_factory=dict, repr=False)
+
+
+Figure = Curves | Bars | Bounds | Intervals | Sizes
 
 
 def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float] | None]:

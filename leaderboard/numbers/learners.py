@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from functools import partial
 from itertools import combinations
 
 from ..methods import LEARNER_ORDER, METHOD_ORDER
-from ..show.figures.comparisons import draw_estimates
 from .columns import column, is_own
+from .figures import Intervals
 from .grid import Column, Entry, Grid, Line, Part
 from .missing import Wanted
 from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing, unit_of
@@ -74,7 +73,7 @@ def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
         algorithm=None,
         domain=None,
         tables=tuple(tables),
-        figures={"mean": partial(draw_estimates, title, methods, panels, alike=True)},
+        figures={"mean": Intervals(title, methods, panels, alike=True)},
         notes=tuple(notes),
         records=tuple(one for block in own for found in block.records.values() for one in found),
         wanted=tuple(_wanted(own)),

@@ -18,7 +18,6 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.text import plain
 
 from ..methods import METHOD_ORDER
-from ..show.figures.studies import draw_sizes
 from .columns import column, is_own
 from .figures import Sizes
 from .grid import Column, Entry, Grid, Line, Part, of_cell
@@ -123,7 +122,7 @@ def _study(group: str, blocks: Sequence[Block], references: References) -> Study
         algorithm=first.algorithm,
         domain=first.domain,
         tables=tuple(tables),
-        figures={"curves": partial(draw_sizes, shown)},
+        figures={"curves": shown},
         notes=(*notes, *lines),
         records=records,
         wanted=_wanted(group, blocks, shown, chosen),

@@ -15,10 +15,9 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.text import plain
 
 from ..methods import BASELINES, canonical
-from ..show.figures.runs import draw_bars, draw_curves
-from ..show.figures.studies import draw_bounds
 from . import statistics
 from .components import build_components
+from .figures import Bars, Bounds, Curves, Figure
 from .grid import Column, Entry, Grid, Line, Part, of_cell
 from .learners import build_learners
 from .missing import Wanted
@@ -69,9 +68,9 @@ def _of_plan(block: Block, plan: Plan) -> Study | None:
     if plan.relative and (relative := _relative(runs)):
         tables = [relative, *tables, *_beside_relative(runs, relative)]
     tables += _beside(runs, plan)
-    figures = {"bars": partial(draw_bars, runs), "curves": partial(draw_curves, runs)}
+    figures: dict[str, Figure] = {"bars": Bars(runs), "curves": Curves(runs)}
     if plan.bounds:
-        figures["bound"] = partial(draw_bounds, runs, dict(zip(plan.methods, plan.bounds, strict=True)))
+        figures["bound"] = Bounds(runs, dict(zip(plan.methods, plan.bounds, strict=True)))
     preliminary = any(cell.n < ENOUGH_SEEDS for cell in runs.cells.values())
     notes = [
         note

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,18 +12,14 @@ from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.settings.seeds import format_seeds
 
-from ..show.figures.drawing import figure_files
 from . import statistics
 from .columns import is_own
+from .figures import Figure
 from .grid import Column, Entry, Grid, Line, Part
 from .missing import Wanted
 from .scale import BETWEEN, CEILING, FLOOR, LABELS, OF_LARGEST, References, Scale, references_caption, scale_of
 from .statistics import Floats
 from .table import commands, scores_by_seed
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SCORE = "mean score"
 
@@ -39,7 +34,7 @@ class Study:
         title, caption: what it compares, and on what; plain ASCII except for what records bring along.
         group, algorithm, domain: what its records have in common; ``algorithm`` and ``domain`` are None where they differ.
         tables: each cell has the records behind it.
-        figures: by name, what draws each.
+        figures: by name, what each shows.
         notes: one line for each thing that was left out or is worth knowing.
         records: all that it was made from.
         wanted: what would make it complete.
@@ -53,7 +48,7 @@ class Study:
     algorithm: str | None
     domain: str | None
     tables: tuple[Grid, ...]
-    figures: Mapping[str, Callable[[], Figure]] = field(repr=False)
+    figures: Mapping[str, Figure] = field(repr=False)
     notes: tuple[str, ...]
     records: tuple[Record, ...] = field(repr=False)
     wanted: tuple[Wanted, ...] = field(repr=False)
@@ -72,10 +67,6 @@ class Study:
     def commands(self) -> list[str]:
         """The commands that make the records again, without repeats."""
         return commands(self.records)
-
-    def figure_files(self) -> dict[str, bytes]:
-        """Each figure as ``<study>-<figure>.svg`` and ``.pdf``."""
-        return {name: data for figure, draw in self.figures.items() for name, data in figure_files(f"{self.name}-{figure}", draw).items()}
 
 
 # The records of a method on each task.

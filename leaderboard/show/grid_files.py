@@ -11,6 +11,7 @@ from cudc_bench.text import escape_markdown, templates
 
 from ..numbers.grid import Column, Entry, Grid, number
 from ..numbers.study import Study
+from .figures.draw import study_figure_files
 from .render import escape_latex
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def study_files(study: Study) -> dict[str, str | bytes]:
     """``<study>.md`` and ``.tex`` with all tables, ``<study>-<table>.csv`` for each, ``<study>-<figure>.svg`` and ``.pdf`` for each."""
     files: dict[str, str | bytes] = {f"{study.name}.md": to_markdown(study), f"{study.name}.tex": to_latex(study)}
     files |= {f"{study.name}-{grid.name}.csv": to_csv(study, grid) for grid in study.tables}
-    return files | study.figure_files()
+    return files | study_figure_files(study)
 
 
 def to_markdown(study: Study) -> str:

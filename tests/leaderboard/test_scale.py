@@ -15,6 +15,7 @@ from cudc_bench.artefacts.records import Evaluation, Record
 from cudc_bench.artefacts.references import Bounds, Reference, ReferenceRun, reference_path, write_reference
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard.api import make_leaderboard
+from cudc_bench.leaderboard.numbers.figures import Bars, Curves
 from cudc_bench.leaderboard.numbers.grid import Entry, Grid
 from cudc_bench.leaderboard.numbers.overall import ALL, Overall, build_overall
 from cudc_bench.leaderboard.numbers.published import beside_paper
@@ -23,7 +24,8 @@ from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
 from cudc_bench.leaderboard.numbers.table import Table, build_blocks, build_tables, tables_of
 from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles
-from cudc_bench.leaderboard.show.figures.runs import draw_bars, draw_curves, draw_task
+from cudc_bench.leaderboard.show.figures.draw import draw
+from cudc_bench.leaderboard.show.figures.runs import draw_task
 from cudc_bench.leaderboard.show.grid_files import to_csv as grid_to_csv
 from cudc_bench.leaderboard.show.grid_files import to_markdown as grid_to_markdown
 from cudc_bench.leaderboard.show.render import (
@@ -271,7 +273,7 @@ def test_sizes_are_measured_by_the_whole_datasets_profile_and_say_so(runs: Calla
     ends = [cells(grid(study, "returns"))[size, "cudc", SCORE] for size in (100_000, 1_000_000)]
     assert area is not None
     assert area.value == pytest.approx(np.mean([end.value for end in ends if end]))
-    assert lines_at(study.figures["curves"]().axes[2]) >= {25.0, 420.0}
+    assert lines_at(draw(study.figures["curves"]).axes[2]) >= {25.0, 420.0}
     # Of parts alone it is not known what the whole would be measured by.
     parts = [one for one in records if one.dataset.used]
     assert "floor (random actions)" not in grid_to_markdown(studies_of(parts, WALKER)["sizes"])
@@ -288,8 +290,7 @@ def test_learners_say_what_their_scores_are(runs: Callable) -> None:
 
 def test_figures_have_lines_at_floor_and_ceiling(runs: Callable) -> None:
     table = table_of([*runs("cudc"), *runs("icm")], {key: bounds for key, bounds in WALKER.items() if key[2] != "flip"})
-    for draw in (draw_curves, draw_bars):
-        figure = draw(table.runs)
+    for figure in map(draw, (Curves(table.runs), Bars(table.runs))):
         for panel, task in zip(figure.axes, TASKS, strict=True):
             expected = set() if task == "flip" else {FLOORS[task], CEILINGS[task]}
             assert lines_at(panel) == expected
@@ -298,7 +299,7 @@ def test_figures_have_lines_at_floor_and_ceiling(runs: Callable) -> None:
     assert lines_at(draw_task(table.runs, "run").axes[0]) == {25.0, 420.0}
     assert lines_at(draw_task(table.runs, "flip").axes[0]) == set()
     assert len(draw_task(table.runs, "flip").legends[0].get_texts()) == 2
-    bound = studies_of(runs("cudc-kmax4"), WALKER)["k-bound"].figures["bound"]()
+    bound = draw(studies_of(runs("cudc-kmax4"), WALKER)["k-bound"].figures["bound"])
     assert lines_at(bound.axes[2]) >= {25.0, 420.0}
 
 

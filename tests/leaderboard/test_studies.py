@@ -31,6 +31,7 @@ from cudc_bench.leaderboard.numbers.sizes import area_weights
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
 from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.figures.draw import draw
 from cudc_bench.leaderboard.show.figures.drawing import _STYLE, figure_files, filled, legend
 from cudc_bench.leaderboard.show.figures.runs import draw_bars
 from cudc_bench.leaderboard.show.grid_files import to_csv, to_latex, to_markdown, to_rich
@@ -583,10 +584,10 @@ def test_numbers_are_rounded_without_a_minus_for_zero() -> None:
 @pytest.mark.parametrize("name", ["k-bound", "sizes", "learners"])
 def test_figures_are_repeatable_xml_with_their_methods_as_text(name: str, everything: list[Record]) -> None:
     first, again = (only(records, name) for records in (everything, everything[::-1]))
-    draw = {"k-bound": "bound", "sizes": "curves", "learners": "mean"}[name]
-    files = figure_files(f"{name}-{draw}", first.figures[draw])
-    assert files == figure_files(f"{name}-{draw}", again.figures[draw])
-    texts = {element.text for element in ElementTree.fromstring(files[f"{name}-{draw}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
+    figure = {"k-bound": "bound", "sizes": "curves", "learners": "mean"}[name]
+    files = figure_files(f"{name}-{figure}", lambda: draw(first.figures[figure]))
+    assert files == figure_files(f"{name}-{figure}", lambda: draw(again.figures[figure]))
+    texts = {element.text for element in ElementTree.fromstring(files[f"{name}-{figure}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
     assert {"k-bound": {"10K steps", "20K steps", "largest k", "8"}, "sizes": {"cudc", "100K", "400K", "transitions"},
             "learners": {"td3", "cql", "random", "cudc"}}[name] <= texts  # fmt: skip
 
@@ -594,20 +595,20 @@ def test_figures_are_repeatable_xml_with_their_methods_as_text(name: str, everyt
 def test_what_figures_draw(everything: list[Record], runs: Callable) -> None:
     bound = only(everything, "k-bound")
     values = cells(grid(bound, "returns"))
-    panel = bound.figures["bound"]().axes[1]
+    panel = draw(bound.figures["bound"]).axes[1]
     lines = [line for line in panel.lines if len(line.get_xdata()) == 6]
     assert panel.get_title() == "walk"
     for line, milestone in zip(lines, (10_000, 20_000), strict=True):
         assert line.get_ydata() == pytest.approx([values[milestone, f"cudc-kmax{k}", "walk"].value for k in range(3, 9)])
         assert np.round(line.get_xdata()).tolist() == [3, 4, 5, 6, 7, 8]
     sizes = only([*sized(runs, "cudc", LEVELS), *sized(runs, "icm", LEVELS)], "sizes")
-    *tasks, last = sizes.figures["curves"]().axes[:5]
+    *tasks, last = draw(sizes.figures["curves"]).axes[:5]
     assert [panel.get_title() for panel in tasks] == list(TASKS)
     values = cells(grid(sizes, "returns"))
     assert last.lines[1].get_xdata().tolist() == [100_000, 200_000, 500_000, 1_000_000]
     assert last.lines[1].get_ydata() == pytest.approx([values[size, "cudc", SCORE].value for size in last.lines[1].get_xdata()])
     assert tasks[2].lines[1].get_ydata() == pytest.approx([values[size, "cudc", "run"].value for size in last.lines[1].get_xdata()])
-    bars = only(everything, "variants").figures["bars"]().axes[1]
+    bars = draw(only(everything, "variants").figures["bars"]).axes[1]
     values = cells(grid(only(everything, "variants"), "returns"))
     assert [bar.get_height() for bar in bars.patches] == pytest.approx(
         [values[step, method, "walk"].value for method in VARIANTS.methods for step in (10_000, 20_000)]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from ...methods import METHOD_ORDER, looks
+from ...numbers.figures import Intervals
 from ...numbers.overall import ALL, LEAD, NAMES, THRESHOLDS, Comparison, Estimate, Overall
 from ...numbers.words import ordered, short, span
 from .drawing import figure_files, framed, legend, luminance
@@ -35,7 +36,7 @@ def draw_intervals(overall: Overall) -> Figure:
     comparison = overall.headline
     panels = {label: {standing.method: standing.estimates[name] for standing in comparison.standings} for name, label in NAMES.items()}
     what = f"Aggregates of scores ({comparison.axis}) and 95 % intervals"
-    return draw_estimates(_title(what, overall, 0), comparison.methods, panels, NAMES["optimality_gap"])
+    return draw_estimates(Intervals(_title(what, overall, 0), comparison.methods, panels, NAMES["optimality_gap"]))
 
 
 def draw_domains(overall: Overall) -> Figure:
@@ -50,39 +51,30 @@ def draw_domains(overall: Overall) -> Figure:
     seeds = span([count for one in last for standing in one.standings for count in standing.counts], "seed")
     what = f"{overall.algorithm}, profile {overall.group}: {short(last[0].milestone)} steps, {seeds}"
     title = f"Mean score{f' ({last[0].axis})' if alike else ''} and 95 % intervals by domain: {what}"
-    return draw_estimates(title, methods, panels, alike=alike)
+    return draw_estimates(Intervals(title, methods, panels, alike=alike))
 
 
-def draw_estimates(
-    title: str, methods: Sequence[str], panels: Mapping[str, Mapping[str, Estimate]], smaller: str | None = None, *, alike: bool = False
-) -> Figure:
+def draw_estimates(shown: Intervals) -> Figure:
     """A panel for each name, a row for each method: its value, the 95 % interval by Student's t over datasets, and above it, thin
-    and grey, that of the stratified bootstrap. A single seed has a hollow mark and no interval.
-
-    Args:
-        title: wrapped where it is too long.
-        methods: the rows.
-        panels: what to draw of them; a method may be absent from some.
-        smaller: the panel in which smaller values are better.
-        alike: whether all panels are of one quantity, and so have one axis.
-    """
+    and grey, that of the stratified bootstrap. A single seed has a hollow mark and no interval."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    methods, panels = shown.methods, shown.panels
     columns = min(len(panels), 4)
     lines = ceil(len(panels) / columns)
     width = max(2.0 * columns + 1.8, 6.4)
-    title = "\n".join(wrap(title, int(width * 12.5)))
+    title = "\n".join(wrap(shown.title, int(width * 12.5)))
     figure = Figure(figsize=(width, lines * (0.26 * len(methods) + 0.8) + 0.2 * title.count("\n") + 1.0))
-    axes = list(figure.subplots(lines, columns, sharey=True, sharex=alike, squeeze=False).flat)
+    axes = list(figure.subplots(lines, columns, sharey=True, sharex=shown.alike, squeeze=False).flat)
     figure.suptitle(title, fontsize=9)
-    shown = looks(methods)
+    colours = looks(methods)
     for place, (panel, (label, estimates)) in enumerate(zip(axes, panels.items(), strict=False)):
         for row, method in enumerate(methods):
             if method in estimates:
-                _draw_estimate(panel, row, estimates[method], shown[method]["color"])
+                _draw_estimate(panel, row, estimates[method], colours[method]["color"])
         panel.set_title(label)
-        panel.set_xlabel("smaller is better" if label == smaller else "larger is better")
+        panel.set_xlabel("smaller is better" if label == shown.smaller else "larger is better")
         panel.tick_params(axis="y", length=0)
         panel.margins(x=0.06)
         panel.grid(axis="x", linewidth=0.4, color="#DDDDDD")

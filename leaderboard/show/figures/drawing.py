@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\")
-_COLUMNS = 4
+COLUMNS = 4
 LONGEST_NAME = 28  # letters of a method beside an axis or in a legend
 _STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "cudc-bench", "pdf.fonttype": 42, "text.parse_math": False,

@@ -10,7 +10,7 @@ from ...numbers.figures import curve
 from ...numbers.table import Runs, Table
 from ...numbers.words import short
 from .drawing import (
-    _COLUMNS,
+    COLUMNS,
     draw_line,
     draw_references,
     figure_files,
@@ -53,10 +53,10 @@ def draw_curves(runs: Runs) -> Figure:
     what = f"{seeds_text(runs.seeds)}, dotted: milestones"
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}: {what}"
     shown = looks(runs.methods)
-    figure, panels = framed(title, legend(shown) | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
+    figure, panels = framed(title, legend(shown) | references_legend(runs.references), len(runs.tasks), COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
         _draw_panel(panel, runs, task, shown)
-        if index % _COLUMNS == 0:
+        if index % COLUMNS == 0:
             panel.set_ylabel("return")
     return figure
 
@@ -68,9 +68,9 @@ def draw_bars(runs: Runs) -> Figure:
     """
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}, after so many gradient steps: {seeds_text(runs.seeds, 'bar')}"
     shown = looks(runs.methods)
-    columns = _COLUMNS if len(runs.methods) * len(runs.milestones) <= _BARS else 2
+    columns = COLUMNS if len(runs.methods) * len(runs.milestones) <= _BARS else 2
     entries = {name: filled(look) for name, look in legend(shown).items()} | references_legend(runs.references)
-    figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == _COLUMNS else 4.8)
+    figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == COLUMNS else 4.8)
     group = 1 + len(runs.methods)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
         for place, (method, look) in enumerate(shown.items()):

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ...methods import COLOURS, looks
-from ...numbers.table import Runs
 from ...numbers.words import short
 from .drawing import draw_references, framed, legend, references_legend, returns_axis, seeds_text
 
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ...numbers.figures import Sizes
+    from ...numbers.figures import Bounds, Sizes
 
 
 _COLUMNS = 4
@@ -23,21 +22,17 @@ _SHADES = ("#8C8C8C", COLOURS["cudc"], "#4A1C00", "#0072B2")
 _MARKERS = ("s", "o", "^", "D")
 
 
-def draw_bounds(runs: Runs, bounds: Mapping[str, int]) -> Figure:
-    """The mean return over the largest k, a panel for each task, a line for each milestone, ± one sample standard deviation over seeds.
-
-    Args:
-        runs: the study's.
-        bounds: the largest k of each method.
-    """
-    shown: dict[str, dict[str, Any]] = {
+def draw_bounds(shown: Bounds) -> Figure:
+    """The mean return over the largest k, a panel for each task, a line for each milestone, ± one sample standard deviation over seeds."""
+    runs, bounds = shown.runs, shown.largest
+    lines: dict[str, dict[str, Any]] = {
         f"{short(milestone)} steps": {"color": _SHADES[i % len(_SHADES)], "marker": _MARKERS[i % len(_MARKERS)], "linestyle": "-"}
         for i, milestone in enumerate(runs.milestones)
     }
     title = f"The upper bound of k: {runs.algorithm} on {runs.domain}, profile {runs.group}: {seeds_text(runs.seeds, 'bar')}"
-    figure, panels = framed(title, shown | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
+    figure, panels = framed(title, lines | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
-        for place, (milestone, look) in enumerate(zip(runs.milestones, shown.values(), strict=True)):
+        for place, (milestone, look) in enumerate(zip(runs.milestones, lines.values(), strict=True)):
             cells = {bounds[method]: cell for method in runs.methods if (cell := runs.cells.get((milestone, task, method)))}
             # A little beside each other, so that no error bar hides another.
             at = [bound + 0.08 * (place - (len(runs.milestones) - 1) / 2) for bound in cells]
