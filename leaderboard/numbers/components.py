@@ -11,7 +11,7 @@ degrees of freedom add up.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,17 +71,19 @@ def components(methods: Sequence[Datasets]) -> Components | None:
         return None
     within = float(sum(((one - one.mean()) ** 2).sum() for datasets in groups for one in datasets)) / free_within
     means = [np.array([one.mean() for one in datasets]) for datasets in groups]
-    estimate = None
-    if free_between > 0:
-        squares = sum(float((n * (mean - (n * mean).sum() / n.sum()) ** 2).sum()) for n, mean in zip(sizes, means, strict=True))
-        # How often the variance between datasets is in the expectation of these squares.
-        weight = sum(float(n.sum() - (n**2).sum() / n.sum()) for n in sizes)
-        estimate = (squares - free_between * within) / weight
+    estimate = _between_estimate(means, sizes, within, free_between) if free_between > 0 else None
     return Components(
         None if estimate is None else max(0.0, estimate), within, estimate,
         _between_interval(means, sizes, within, free_between, free_within) if min(free_between, free_within) >= _ENOUGH else None,
         _within_interval(within, free_within) if free_within >= _ENOUGH else None, datasets, trainings,
     )  # fmt: skip
+
+
+def _between_estimate(means: Sequence[Floats], sizes: Sequence[Floats], within: float, freedom: int) -> float:
+    squares = sum(float((n * (mean - (n * mean).sum() / n.sum()) ** 2).sum()) for n, mean in zip(sizes, means, strict=True))
+    # How often the variance between datasets is in the expectation of these squares.
+    weight = sum(float(n.sum() - (n**2).sum() / n.sum()) for n in sizes)
+    return (squares - freedom * within) / weight
 
 
 _TAILS = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
@@ -112,45 +114,21 @@ def build_components(blocks: Iterable[Block]) -> list[Study]:
     return [study for block in blocks if (study := _study(block)) is not None]
 
 
+# Of each method, and of all pooled, the components and what they are of.
+_Found = dict[str, tuple[Components | None, tuple[Record, ...]]]
+
+
 def _study(block: Block) -> Study | None:
-    methods = [
-        method
-        for method in block.methods
-        if any(len(of) > 1 for task in block.tasks for of in _by_dataset(block.records.get((method, task), ())).values())
-    ]
+    methods = _repeated(block)
     records = tuple(one for method in methods for task in block.tasks for one in block.records.get((method, task), ()))
-    if not records:
-        return None
     tasks = ordered({one.dataset.task for one in records}, block.tasks)
-    notes: list[str] = []
-    parts, shares = [], []
-    for milestone in block.milestones:
-        lines, ratios = [], []
-        for task in (*tasks, *([ALL_TASKS] if len(tasks) > 1 else [])):
-            chosen = tasks if task == ALL_TASKS else (task,)
-            of_method = {method: _scores(block.records, method, chosen, milestone) for method in methods}
-            found: dict[str, tuple[Components | None, tuple[Record, ...]]] = {
-                method: (components([datasets]), used) for method, (datasets, used) in of_method.items()
-            }
-            pooled = components([datasets for datasets, _ in of_method.values()])
-            if pooled is None:
-                continue
-            if len(methods) > 1:
-                found[POOLED] = pooled, tuple(one for _, used in of_method.values() for one in used)
-            lines += [
-                Line((task, BETWEEN), tuple(_between(one, used) for one, used in found.values())),
-                Line((task, WITHIN), tuple(_within(one, used) for one, used in found.values())),
-            ]
-            ratios.append(Line((task,), tuple(_share(one, used) for one, used in found.values())))
-            notes += [
-                f"{name}, {task}, {short(milestone)} steps: {BETWEEN} the estimate is negative, {one.estimate:.4g}, and shown as 0."
-                for name, (one, _) in found.items()
-                if one is not None and one.estimate is not None and one.estimate < 0
-            ]
-        if lines:
-            parts.append(Part(f"{short(milestone)} steps", milestone, tuple(lines)))
-            shares.append(Part(f"{short(milestone)} steps", milestone, tuple(ratios)))
-    if not parts:
+    rows = {
+        (milestone, task): found
+        for milestone in block.milestones
+        for task in (*tasks, *([ALL_TASKS] if len(tasks) > 1 else []))
+        if (found := _found(block, methods, tasks if task == ALL_TASKS else (task,), milestone))
+    }
+    if not rows:
         return None
     columns = (*methods, *([POOLED] if len(methods) > 1 else []))
     preliminary = any(len({one.dataset.seed for one in block.records.get((m, t), ())}) < ENOUGH_SEEDS for m in methods for t in tasks)
@@ -172,20 +150,70 @@ def _study(block: Block) -> Study | None:
                 " single training on a single dataset has the sum of both. Estimates of a one-way random-effects analysis of variance;"
                 " pooled: over these methods, each with a mean of its own. In square brackets: 95 % intervals, for 4 degrees of freedom or"
                 " more. In brackets: datasets, or trainings. The mean over tasks is of training seeds that have all of them.",
-                "milestone", ("task", "variance"), tuple(Column(name) for name in columns), tuple(parts),
+                "milestone", ("task", "variance"), tuple(Column(name) for name in columns), _parts(rows, _both),
             ),
             Grid(
                 "share", "Share between datasets",
                 "How much of the variance of a single training on a single dataset is between datasets: the first component divided by the"
                 " sum of both. In brackets: datasets.",
-                "milestone", ("task",), tuple(Column(name, 2) for name in columns), tuple(shares),
+                "milestone", ("task",), tuple(Column(name, 2) for name in columns), _parts(rows, _shares),
             ),
         ),
         figures={},
-        notes=tuple(notes),
+        notes=tuple(_negative(rows)),
         records=records,
         wanted=(),
     )  # fmt: skip
+
+
+def _repeated(block: Block) -> list[str]:
+    """Methods of which a dataset was trained on several times."""
+    return [
+        method
+        for method in block.methods
+        if any(len(of) > 1 for task in block.tasks for of in _by_dataset(block.records.get((method, task), ())).values())
+    ]
+
+
+def _found(block: Block, methods: Sequence[str], tasks: Sequence[str], milestone: int) -> _Found:
+    """The components on some tasks; empty if there are none pooled over all methods."""
+    of_method = {method: _scores(block.records, method, tasks, milestone) for method in methods}
+    pooled = components([datasets for datasets, _ in of_method.values()])
+    if pooled is None:
+        return {}
+    found: _Found = {method: (components([datasets]), used) for method, (datasets, used) in of_method.items()}
+    if len(methods) > 1:
+        found[POOLED] = pooled, tuple(one for _, used in of_method.values() for one in used)
+    return found
+
+
+def _parts(rows: Mapping[tuple[int, str], _Found], lines: Callable[[str, _Found], Sequence[Line]]) -> tuple[Part, ...]:
+    """For each milestone the lines of its tasks."""
+    parts: dict[int, list[Line]] = defaultdict(list)
+    for (milestone, task), found in rows.items():
+        parts[milestone] += lines(task, found)
+    return tuple(Part(f"{short(milestone)} steps", milestone, tuple(of)) for milestone, of in parts.items())
+
+
+def _both(task: str, found: _Found) -> list[Line]:
+    return [
+        Line((task, BETWEEN), tuple(_between(one, used) for one, used in found.values())),
+        Line((task, WITHIN), tuple(_within(one, used) for one, used in found.values())),
+    ]
+
+
+def _shares(task: str, found: _Found) -> list[Line]:
+    return [Line((task,), tuple(_share(one, used) for one, used in found.values()))]
+
+
+def _negative(rows: Mapping[tuple[int, str], _Found]) -> list[str]:
+    """Estimates that cannot be a variance."""
+    return [
+        f"{name}, {task}, {short(milestone)} steps: {BETWEEN} the estimate is negative, {one.estimate:.4g}, and shown as 0."
+        for (milestone, task), found in rows.items()
+        for name, (one, _) in found.items()
+        if one is not None and one.estimate is not None and one.estimate < 0
+    ]
 
 
 def _by_dataset(records: Iterable[Record]) -> Mapping[int, Sequence[Record]]:

@@ -36,15 +36,7 @@ def build_learners(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[
 
 def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) -> Study | None:
     names = ordered(set(learners), LEARNER_ORDER)
-    parts: dict[tuple[str, int], dict[str, Comparison]] = defaultdict(dict)
-    for name in names:
-        for comparison in learners[name].comparisons:
-            parts[comparison.scope, comparison.milestone][name] = comparison
-    scopes = [scope for scope, _ in parts]
-    kept = sorted(
-        ((key, found) for key, found in parts.items() if len(found) > 1),
-        key=lambda part: (-part[0][1], part[0][0] != ALL, scopes.index(part[0][0])),
-    )
+    kept = _shared(names, learners)
     if not kept:
         return None
     group = learners[names[0]].group
@@ -52,32 +44,48 @@ def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
     places = {(block.algorithm, block.domain): block for block in own}
     notes = [
         f"{scope}, {short(milestone)} steps: the learners have different tasks: {_tasks(found)}."
-        for (scope, milestone), found in kept
+        for (scope, milestone), found in kept.items()
         if len({one.tasks for one in found.values()}) > 1
     ]
-    tables = [_values(statistic, title, names, dict(kept), places) for statistic, title in _STATISTICS.items()]
-    agreement = _agreement(dict(kept))
+    tables = [_values(statistic, title, names, kept, places) for statistic, title in _STATISTICS.items()]
+    agreement = _agreement(kept)
     if agreement.parts:
         tables.append(agreement)
-    (scope, milestone), headline = kept[0]
-    panels = {name: {standing.method: standing.estimates[LEAD] for standing in one.standings} for name, one in headline.items()}
-    methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
-    title = f"Mean score and 95 % intervals by learner: profile {group}: {scope}, {short(milestone)} steps"
     return Study(
         name="learners",
         folder=f"{word}.learners",
         title="Learners side by side",
         caption=f"Whether the ranking of datasets depends on the learner: {', '.join(names)}. Profile: {group}."
-        + (" Preliminary: fewer than five seeds." if any(one.preliminary for _, found in kept for one in found.values()) else ""),
+        + (" Preliminary: fewer than five seeds." if any(one.preliminary for found in kept.values() for one in found.values()) else ""),
         group=group,
         algorithm=None,
         domain=None,
         tables=tuple(tables),
-        figures={"mean": Intervals(title, methods, panels, alike=True)},
+        figures={"mean": _means(group, kept)},
         notes=tuple(notes),
         records=tuple(one for block in own for found in block.records.values() for one in found),
         wanted=tuple(_wanted(own)),
     )
+
+
+def _shared(names: Sequence[str], learners: Mapping[str, Overall]) -> _Parts:
+    """The comparisons that several learners have, of the last milestone first, and there those of all domains."""
+    parts: dict[tuple[str, int], dict[str, Comparison]] = defaultdict(dict)
+    for name in names:
+        for comparison in learners[name].comparisons:
+            parts[comparison.scope, comparison.milestone][name] = comparison
+    scopes = [scope for scope, _ in parts]
+    shared = ((key, found) for key, found in parts.items() if len(found) > 1)
+    return dict(sorted(shared, key=lambda part: (-part[0][1], part[0][0] != ALL, scopes.index(part[0][0]))))
+
+
+def _means(group: str, parts: _Parts) -> Intervals:
+    """Each learner's mean scores in the first of the comparisons."""
+    (scope, milestone), headline = next(iter(parts.items()))
+    panels = {name: {standing.method: standing.estimates[LEAD] for standing in one.standings} for name, one in headline.items()}
+    methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
+    title = f"Mean score and 95 % intervals by learner: profile {group}: {scope}, {short(milestone)} steps"
+    return Intervals(title, methods, panels, alike=True)
 
 
 def _tasks(found: Mapping[str, Comparison]) -> str:

@@ -379,30 +379,38 @@ _Domain = dict[str, dict[str, dict[int, float]]]
 def _comparisons(tables: Sequence[Table]) -> list[Callable[[], Comparison | None]]:
     """Functions that make them, where they can be made."""
     found: list[Callable[[], Comparison | None]] = []
+    references = {table.domain: table.references for table in tables}
     for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
-        domains, notes = {}, []
-        references = {table.domain: table.references for table in tables}
+        domains: dict[str, _Domain] = {}
+        notes: list[str] = []
         for table in sorted(tables, key=lambda table: _place(table.domain)):
-            if all(section.milestone != milestone for section in table.sections):
-                notes.append(f"{table.domain}: {short(milestone)} steps is none of its milestones.")
-                continue
-            results = _results(table.records, milestone)
-            known = DOMAINS[table.domain].tasks if table.domain in DOMAINS else ()
-            unknown = sorted({task for tasks in results.values() for task in tasks} - set(known))
-            if unknown:
-                notes.append(f"{table.domain}: {', '.join(unknown)}: their largest return is not known.")
-            results = {m: kept for m, tasks in results.items() if (kept := {t: tasks[t] for t in known if t in tasks})}
+            results, lines = _known_results(table, milestone)
+            notes += lines
             if results:
                 domains[table.domain] = results
-            elif not unknown:
-                notes.append(f"{table.domain}: nothing was evaluated there at {short(milestone)} steps.")
-        scopes = [(ALL if len(domains) > 1 else next(iter(domains)), domains)] if domains else []
-        if len(domains) > 1:
-            scopes += [(name, {name: results}) for name, results in domains.items()]
-        for scope, part in scopes:
-            left_out = notes if scope == ALL or len(domains) == 1 else []
+        for scope, part in _scopes(domains):
+            left_out = notes if len(part) == len(domains) else []
             found.append(partial(_compare, scope, milestone, part, left_out, references))
     return found
+
+
+def _scopes(domains: Mapping[str, _Domain]) -> list[tuple[str, Mapping[str, _Domain]]]:
+    """All domains, and then, if there are several, each by itself."""
+    single = [(name, {name: results}) for name, results in domains.items()]
+    return [(ALL, domains), *single] if len(domains) > 1 else [*single]
+
+
+def _known_results(table: Table, milestone: int) -> tuple[_Domain, list[str]]:
+    """A table's results on the tasks whose largest return is known, and what is not among them."""
+    if all(section.milestone != milestone for section in table.sections):
+        return {}, [f"{table.domain}: {short(milestone)} steps is none of its milestones."]
+    results = _results(table.records, milestone)
+    known = DOMAINS[table.domain].tasks if table.domain in DOMAINS else ()
+    unknown = sorted({task for tasks in results.values() for task in tasks} - set(known))
+    results = {method: kept for method, tasks in results.items() if (kept := {task: tasks[task] for task in known if task in tasks})}
+    if unknown:
+        return results, [f"{table.domain}: {', '.join(unknown)}: their largest return is not known."]
+    return results, [] if results else [f"{table.domain}: nothing was evaluated there at {short(milestone)} steps."]
 
 
 def _place(domain: str) -> tuple[int, str]:
@@ -425,23 +433,9 @@ def _results(records: Sequence[Record], milestone: int) -> _Domain:
 def _compare(
     scope: str, milestone: int, domains: Mapping[str, _Domain], notes: Sequence[str], references: Mapping[str, References]
 ) -> Comparison | None:  # fmt: skip
-    left_out = list(notes)
-    every = ordered({method for results in domains.values() for method in results}, METHOD_ORDER)
-    methods = []
-    for method in every:
-        lacking = [domain for domain, results in domains.items() if method not in results]
-        if lacking:
-            left_out.append(f"{method}: it has no results on {', '.join(lacking)}.")
-        else:
-            methods.append(method)
-    tasks: list[Task] = []
-    for domain, results in domains.items():
-        for task in DOMAINS[domain].tasks:
-            having = [method for method in methods if task in results[method]]
-            if methods and len(having) == len(methods):
-                tasks.append((domain, task))
-            elif having:
-                left_out.append(f"{domain} {task}: {', '.join(m for m in methods if m not in having)} lacks it.")
+    methods, elsewhere = _in_all_domains(domains)
+    tasks, lacking = _common_tasks(methods, domains)
+    left_out = [*notes, *elsewhere, *lacking]
     entering: dict[str, _Entering] = {}
     for method in methods:
         seeds, lines = _seeds(method, domains, tasks)
@@ -455,6 +449,32 @@ def _compare(
     if not entering:
         return None
     return _comparison(scope, milestone, tuple(tasks), entering, [plain(line) for line in left_out], references)
+
+
+def _in_all_domains(domains: Mapping[str, _Domain]) -> tuple[list[str], list[str]]:
+    """Methods with results in each of some domains, and a line for each other one."""
+    methods, left_out = [], []
+    for method in ordered({method for results in domains.values() for method in results}, METHOD_ORDER):
+        lacking = [domain for domain, results in domains.items() if method not in results]
+        if lacking:
+            left_out.append(f"{method}: it has no results on {', '.join(lacking)}.")
+        else:
+            methods.append(method)
+    return methods, left_out
+
+
+def _common_tasks(methods: Sequence[str], domains: Mapping[str, _Domain]) -> tuple[list[Task], list[str]]:
+    """Tasks that all of some methods have, and a line for each that only some have."""
+    tasks: list[Task] = []
+    left_out = []
+    for domain, results in domains.items():
+        for task in DOMAINS[domain].tasks:
+            having = [method for method in methods if task in results[method]]
+            if having and len(having) == len(methods):
+                tasks.append((domain, task))
+            elif having:
+                left_out.append(f"{domain} {task}: {', '.join(m for m in methods if m not in having)} lacks it.")
+    return tasks, left_out
 
 
 # The returns of a method in each domain, and its collector seeds there.

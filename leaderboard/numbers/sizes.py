@@ -9,7 +9,7 @@ it is. Each collector seed has an area of its own; means and intervals are over 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -69,27 +69,63 @@ _Chosen = dict[tuple[int, str], dict[str, list[Record]]]
 
 
 def _study(group: str, blocks: Sequence[Block], references: References) -> Study | None:
-    first = blocks[0]
     lasts = Counter(block.milestones[-1] for block in blocks)
     milestone = max(lasts, key=lambda last: (lasts[last], last))
-    notes = [
+    left_out = [
         f"{plain(block.group)} is left out: {short(milestone)} steps is none of its milestones."
         for block in blocks
         if milestone not in block.milestones
     ]
-    columns = [(method, one) for block in blocks if milestone in block.milestones
-               for (method, _), found in block.records.items() for one in found]  # fmt: skip
-    cut = {method for method, one in columns if one.dataset.used}
-    if not cut:
+    chosen = _chosen([block for block in blocks if milestone in block.milestones])
+    if not chosen:
         return None
+    shown, scales = _shown(group, chosen, blocks[0], milestone, references)
+    returns = _returns(shown, chosen, scales)
+    tables = [returns, *scored_grid(returns, shown.tasks, shown.references)]
+    areas, lines = _areas(shown, chosen, scales)
+    if areas:
+        tables.append(areas)
+    preliminary = any(cell.n < ENOUGH_SEEDS for cell in shown.cells.values())
+    return Study(
+        name="sizes",
+        folder=slug(group, shown.algorithm, shown.domain),
+        title="Dataset size",
+        caption=f"The paper's study of sample efficiency: trained on the first so many transitions of each dataset. {shown.algorithm} on"
+        f" {shown.domain} after {short(milestone)} gradient steps. Profile: {shown.group}."
+        + (" Preliminary: fewer than five seeds." if preliminary else ""),
+        group=shown.group,
+        algorithm=shown.algorithm,
+        domain=shown.domain,
+        tables=tuple(tables),
+        figures={"curves": shown},
+        notes=(*left_out, *lines),
+        records=tuple(_records(chosen)),
+        wanted=_wanted(group, blocks, shown, chosen),
+    )
+
+
+def _chosen(blocks: Sequence[Block]) -> _Chosen:
+    """What was trained on each part of a dataset, and on the whole, of methods of which there is more than the whole."""
+    columns = [(method, one) for block in blocks for (method, _), found in block.records.items() for one in found]
+    cut = {method for method, one in columns if one.dataset.used}
     chosen: _Chosen = defaultdict(lambda: defaultdict(list))
     for method, one in columns:
         if method in cut:
             chosen[one.dataset.used or one.dataset.steps, method][one.dataset.task].append(one)
-    records = tuple(one for by_task in chosen.values() for found in by_task.values() for one in found)
-    methods = ordered(cut, METHOD_ORDER)
+    return chosen
+
+
+def _records(chosen: _Chosen) -> Iterator[Record]:
+    for by_task in chosen.values():
+        for found in by_task.values():
+            yield from found
+
+
+def _shown(group: str, chosen: _Chosen, first: Block, milestone: int, references: References) -> tuple[Sizes, Scales]:
+    """The returns and mean scores at each size, and by what they became scores."""
+    methods = ordered({method for _, method in chosen}, METHOD_ORDER)
     sizes = tuple(sorted({size for size, _ in chosen}))
-    tasks = ordered({one.dataset.task for one in records}, known_tasks(first.domain))
+    tasks = ordered({one.dataset.task for one in _records(chosen)}, known_tasks(first.domain))
     served = {task: references[task] for task in tasks if task in references}
     scales = scales_of(first.domain, served)
     cells: dict[tuple[int, str, str], Cell] = {}
@@ -101,32 +137,8 @@ def _study(group: str, blocks: Sequence[Block], references: References) -> Study
         for method in methods:
             if entry := score_entry(chosen[size, method], scales, milestone):
                 scores[size, method] = entry
-    shown = Sizes(
-        plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, scores,
-        span([cell.n for cell in cells.values()] or [0], "seed"), served,
-    )  # fmt: skip
-    returns = _returns(shown, chosen, scales)
-    tables = [returns, *scored_grid(returns, tasks, served)]
-    areas, lines = _areas(shown, chosen, scales)
-    if areas:
-        tables.append(areas)
-    preliminary = any(cell.n < ENOUGH_SEEDS for cell in cells.values())
-    return Study(
-        name="sizes",
-        folder=slug(group, first.algorithm, first.domain),
-        title="Dataset size",
-        caption=f"The paper's study of sample efficiency: trained on the first so many transitions of each dataset. {first.algorithm} on"
-        f" {first.domain} after {short(milestone)} gradient steps. Profile: {shown.group}."
-        + (" Preliminary: fewer than five seeds." if preliminary else ""),
-        group=shown.group,
-        algorithm=first.algorithm,
-        domain=first.domain,
-        tables=tuple(tables),
-        figures={"curves": shown},
-        notes=(*notes, *lines),
-        records=records,
-        wanted=_wanted(group, blocks, shown, chosen),
-    )
+    seeds = span([cell.n for cell in cells.values()] or [0], "seed")
+    return Sizes(plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, scores, seeds, served), scales
 
 
 def _returns(shown: Sizes, chosen: _Chosen, scales: Scales) -> Grid:
@@ -194,16 +206,18 @@ def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], scales:
 
 def _wanted(group: str, blocks: Sequence[Block], shown: Sizes, chosen: _Chosen) -> tuple[Wanted, ...]:
     """Every size that some method has, for every method with the seeds that were trained on a part of a dataset."""
-    own = [one for by_task in chosen.values() for found in by_task.values() for one in found if is_own(one)]
-    seeds = tuple(sorted({one.dataset.seed for one in own if one.dataset.used}))
-    collected = [method for method in shown.methods if any(column(one) == method for one in own)]
+    own = [one for one in _records(chosen) if is_own(one)]
     if not own:
         return ()
+    seeds = tuple(sorted({one.dataset.seed for one in own if one.dataset.used}))
+    collected = {column(one) for one in own}
     tasks = shown.tasks if own[0].dataset.reward is not None else ordered({*known_tasks(shown.domain), *shown.tasks}, shown.tasks)
-    steps = {one.dataset.steps for one in own}
+    whole = {one.dataset.steps for one in own}
     groups = {_first(block).dataset.used: block.group for block in blocks}
-    return tuple(
-        Wanted(
+
+    def wanted(size: int, method: str) -> Wanted:
+        used = None if size in whole else size
+        return Wanted(
             study="sizes",
             group=groups.get(used, group),
             algorithm=shown.algorithm,
@@ -215,7 +229,6 @@ def _wanted(group: str, blocks: Sequence[Block], shown: Sizes, chosen: _Chosen) 
             have=frozenset((task, one.dataset.seed) for task, found in chosen[size, method].items() for one in found),
             like=own[0],
         )
-        for size in sorted({one.dataset.used or one.dataset.steps for one in own})
-        for used in [None if size in steps else size]
-        for method in collected
-    )
+
+    sizes = sorted({one.dataset.used or one.dataset.steps for one in own})
+    return tuple(wanted(size, method) for size in sizes for method in shown.methods if method in collected)

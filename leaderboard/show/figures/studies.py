@@ -63,27 +63,34 @@ def draw_sizes(sizes: Sizes) -> Figure:
     columns = 3 if count in (3, 5, 6, 9) else _COLUMNS
     figure, panels = framed(title, legend(shown) | references_legend(sizes.references), count, columns)
     for index, (panel, task) in enumerate(zip(panels, sizes.tasks, strict=False)):
-        for method, look in shown.items():
-            cells = {size: cell for size in sizes.sizes if (cell := sizes.cells.get((size, task, method)))}
-            spread = {size: (cell.mean - cell.std, cell.mean + cell.std) for size, cell in cells.items() if cell.std is not None}
-            _draw_points(panel, {size: cell.mean for size, cell in cells.items()}, spread, look)
-        panel.set_title(task)
+        _draw_returns(panel, sizes, task, shown)
         panel.set_ylabel("return" if index % columns == 0 else "")
-        draw_references(panel, task, sizes.references)
-        returns_axis(panel, sizes.domain, sizes.tasks)
-        _sizes_axis(panel, sizes)
     if sizes.scores:
-        panel = panels[-1]
-        for method, look in shown.items():
-            entries = {size: entry for size in sizes.sizes if (entry := sizes.scores.get((size, method)))}
-            spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
-            _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
-        panel.set_title("mean score over all tasks")
-        # Between floor and ceiling is not all there is.
-        ends = [end for one in sizes.scores.values() for end in ((one.interval.low, one.interval.high) if one.interval else (one.value,))]
-        panel.set_ylim(min(0.0, *ends), max(1.0, *ends))
+        _draw_scores(panels[-1], sizes, shown)
+    for panel in panels:
         _sizes_axis(panel, sizes)
     return figure
+
+
+def _draw_returns(panel: Axes, sizes: Sizes, task: str, shown: Mapping[str, dict[str, Any]]) -> None:
+    for method, look in shown.items():
+        cells = {size: cell for size in sizes.sizes if (cell := sizes.cells.get((size, task, method)))}
+        spread = {size: (cell.mean - cell.std, cell.mean + cell.std) for size, cell in cells.items() if cell.std is not None}
+        _draw_points(panel, {size: cell.mean for size, cell in cells.items()}, spread, look)
+    panel.set_title(task)
+    draw_references(panel, task, sizes.references)
+    returns_axis(panel, sizes.domain, sizes.tasks)
+
+
+def _draw_scores(panel: Axes, sizes: Sizes, shown: Mapping[str, dict[str, Any]]) -> None:
+    for method, look in shown.items():
+        entries = {size: entry for size in sizes.sizes if (entry := sizes.scores.get((size, method)))}
+        spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
+        _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
+    panel.set_title("mean score over all tasks")
+    # Between floor and ceiling is not all there is.
+    ends = [end for one in sizes.scores.values() for end in ((one.interval.low, one.interval.high) if one.interval else (one.value,))]
+    panel.set_ylim(min(0.0, *ends), max(1.0, *ends))
 
 
 def _draw_points(panel: Axes, values: Mapping[int, float], spread: Mapping[int, tuple[float, float]], look: Mapping[str, Any]) -> None:
