@@ -15,7 +15,7 @@ from cudc_bench.leaderboard.numbers.overall import Comparison
 from cudc_bench.leaderboard.numbers.published import reported
 from cudc_bench.leaderboard.numbers.scale import BETWEEN
 from cudc_bench.leaderboard.numbers.statistics import Interval
-from cudc_bench.leaderboard.show.render import to_markdown
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = ROOT / "results" / "cpu" / "walker"

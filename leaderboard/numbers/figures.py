@@ -12,7 +12,7 @@ from cudc_bench.artefacts.records import Record
 from .grid import Entry
 from .overall import Estimate
 from .scale import References
-from .table import Cell, Runs, seed_scores
+from .table import Runs, seed_scores
 
 if TYPE_CHECKING:
     pass
@@ -86,7 +86,7 @@ class Sizes:
     methods: tuple[str, ...]
     tasks: tuple[str, ...]
     sizes: tuple[int, ...]
-    cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
+    cells: Mapping[tuple[int, str, str], Entry] = field(repr=False)
     scores: Mapping[tuple[int, str], Entry] = field(repr=False)
     seeds: str
     references: References = field(default_factory=dict, repr=False)

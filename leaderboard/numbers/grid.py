@@ -1,14 +1,14 @@
-"""One model for the tables of every study; :mod:`.grid_files` writes it as Markdown, LaTeX, CSV and for a terminal."""
+"""One model for every table of numbers; :mod:`..show` writes it as Markdown, LaTeX, CSV and for a terminal, :mod:`..site` as HTML."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.references import Bounds
 
 from .statistics import Interval
-from .table import Cell
 
 
 @dataclass(frozen=True)
@@ -19,25 +19,32 @@ class Entry:
         value: the number.
         std: sample standard deviation over collector seeds.
         interval: of 95 %.
-        n: number of collector seeds.
-        best: whether it is marked.
+        n: number of collector seeds; 0 for a number that is not a mean over them.
+        best: whether it is marked: of a row of returns the largest mean, after rounding to whole returns, and what is not significantly
+            worse than it.
         records: what it was made from; empty for numbers of the paper.
     """
 
     value: float
     std: float | None = None
     interval: Interval | None = None
-    n: int | None = None
+    n: int = 0
     best: bool = False
     records: tuple[Record, ...] = field(default=(), repr=False)
+
+    def scored(self, bounds: Bounds) -> Entry:
+        """A mean return as a score between a floor and a ceiling."""
+        std = None if self.std is None else self.std / (bounds.ceiling - bounds.floor)
+        return replace(self, value=bounds.normalise(self.value), std=std)
 
 
 @dataclass(frozen=True)
 class Column:
-    """What the numbers below a name are: shown with so many digits behind the point, ``signed`` with their sign."""
+    """What the numbers below a name are: shown with so many digits behind the point (None: as many as they have), ``signed`` with their
+    sign."""
 
     name: str
-    digits: int = 0
+    digits: int | None = 0
     signed: bool = False
 
 
@@ -60,7 +67,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table of a study.
+    """A table.
 
     Attributes:
         name: in files' names; no two of a study have the same.
@@ -88,11 +95,13 @@ class Grid:
                     yield part, line, column, entry
 
 
-def of_cell(cell: Cell | None, records: Sequence[Record]) -> Entry | None:
-    """A mean return over collector seeds as an entry."""
-    return None if cell is None else Entry(cell.mean, cell.std, None, cell.n, cell.best, tuple(records))
+def with_records(entry: Entry | None, records: Sequence[Record]) -> Entry | None:
+    """The same with what it was made from."""
+    return None if entry is None else replace(entry, records=tuple(records))
 
 
 def number(value: float, column: Column) -> str:
     """A number with its column's digits; what rounds to zero has no minus."""
+    if column.digits is None:
+        return f"{value:g}"
     return f"{round(value, column.digits) + 0.0:{'+' if column.signed else ''}.{column.digits}f}"

@@ -380,7 +380,7 @@ def _comparisons(tables: Sequence[Table]) -> list[Callable[[], Comparison | None
     """Functions that make them, where they can be made."""
     found: list[Callable[[], Comparison | None]] = []
     references = {table.domain: table.references for table in tables}
-    for milestone in sorted({section.milestone for table in tables for section in table.sections}, reverse=True):
+    for milestone in sorted({milestone for table in tables for milestone in table.milestones}, reverse=True):
         domains: dict[str, _Domain] = {}
         notes: list[str] = []
         for table in sorted(tables, key=lambda table: _place(table.domain)):
@@ -402,7 +402,7 @@ def _scopes(domains: Mapping[str, _Domain]) -> list[tuple[str, Mapping[str, _Dom
 
 def _known_results(table: Table, milestone: int) -> tuple[_Domain, list[str]]:
     """A table's results on the tasks whose largest return is known, and what is not among them."""
-    if all(section.milestone != milestone for section in table.sections):
+    if milestone not in table.milestones:
         return {}, [f"{table.domain}: {short(milestone)} steps is none of its milestones."]
     results = _results(table.records, milestone)
     known = DOMAINS[table.domain].tasks if table.domain in DOMAINS else ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -17,8 +17,9 @@ from typing import TypeVar
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 
-from .scale import references_caption
-from .table import Cell, Table
+from .grid import Column, Entry, Grid, Line, Part
+from .scale import CEILING, FLOOR, references_caption
+from .table import Table
 
 CITATION = (
     "Sun, Qian and Miao, CUDC: A Curiosity-Driven Unsupervised Data Collection Method with Adaptive Temporal Distances for Offline"
@@ -27,46 +28,6 @@ CITATION = (
 MEAN = "mean"  # stands for a task where a row is the mean over a domain's tasks
 Key = tuple[str, str, str, str, int]  # evaluator, domain, task, method, gradient steps
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Beside:
-    """A cell of ours beside the paper's, for the same evaluator, domain, task, method and number of gradient steps.
-
-    Attributes:
-        milestone, task, method: which.
-        ours: our cell.
-        paper: its mean and standard deviation.
-    """
-
-    milestone: int
-    task: str
-    method: str
-    ours: Cell
-    paper: tuple[float, float]
-
-    @property
-    def difference(self) -> float | None:
-        """Our mean minus the paper's, in units of the paper's standard deviation."""
-        return (self.ours.mean - self.paper[0]) / self.paper[1] if self.paper[1] > 0 else None
-
-
-@dataclass(frozen=True)
-class PaperTable:
-    """What the paper reports beside a table of ours.
-
-    Attributes:
-        table: ours.
-        rows: cells that both have, by milestone, task and method.
-    """
-
-    table: Table
-    rows: tuple[Beside, ...]
-
-    @property
-    def caption(self) -> str:
-        """What the numbers are, and that the two columns do not belong in one ranking."""
-        return caption(self.table.group) + references_caption(self.table.references, self.table.tasks)
 
 
 def caption(group: str) -> str:
@@ -88,22 +49,44 @@ def scale(group: str) -> str:
     return f"Reported in the paper; another protocol scale, not to be ranked with our own results. {sizes}"
 
 
-def beside_paper(table: Table) -> PaperTable | None:
-    """The cells of a table that the paper reports, too; None if there are none."""
-    rows = [
-        found
-        for section in table.sections
-        for row in section.rows
-        for method, cell in zip(table.methods, row.cells, strict=True)
-        if (found := beside(table.algorithm, table.domain, section.milestone, row.task, method, cell))
-    ]
-    return PaperTable(table, tuple(rows)) if rows else None
+def beside_paper(table: Table) -> Grid | None:
+    """The cells of a table that the paper reports, too, and its references, which the paper has not; None if there are none."""
+    parts = []
+    for part in table.grid.parts:
+        lines = []
+        for line in part.lines:
+            (task,) = line.labels
+            bounds = table.references.get(task)
+            ends = (None, None) if bounds is None else (Entry(bounds.floor), Entry(bounds.ceiling))
+            for method, ours in zip(table.methods, line.entries, strict=True):
+                # What is best among ours says nothing here.
+                unmarked = None if ours is None else replace(ours, best=False)
+                if found := beside(table.algorithm, table.domain, int(part.key), task, method, unmarked):
+                    lines.append(Line(found.labels, (*found.entries, *ends) if table.references else found.entries))
+        if lines:
+            parts.append(Part(part.title, part.key, tuple(lines)))
+    if not parts:
+        return None
+    return Grid(
+        name="paper",
+        title=f"Beside the paper: {table.domain}, {table.algorithm}, profile {table.group}",
+        caption=caption(table.group) + references_caption(table.references, table.tasks),
+        split="milestone",
+        head=("task", "method"),
+        columns=(Column("here"), Column("reported in the paper", None), Column("difference", 1, signed=True),
+                 *(map(Column, (FLOOR, CEILING)) if table.references else ())),
+        parts=tuple(parts),
+    )  # fmt: skip
 
 
-def beside(algorithm: str, domain: str, milestone: int, task: str, method: str, cell: Cell | None) -> Beside | None:
-    """A cell beside the paper's; None if either is missing. ``method`` is the name that the paper's study has for it."""
+def beside(algorithm: str, domain: str, milestone: int, task: str, method: str, ours: Entry | None) -> Line | None:
+    """A cell of ours, the paper's for the same evaluator, domain, task, method and number of gradient steps, and our mean minus the paper's
+    in units of the paper's standard deviation; None if either is missing. ``method`` is the name that the paper's study has for it."""
     paper = reported().get((algorithm, domain, task, method, milestone))
-    return Beside(milestone, task, method, cell, paper) if cell and paper else None
+    if ours is None or paper is None:
+        return None
+    mean, std = paper
+    return Line((task, method), (ours, Entry(mean, std), Entry((ours.value - mean) / std) if std > 0 else None))
 
 
 @cache

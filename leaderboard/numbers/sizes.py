@@ -20,12 +20,12 @@ from cudc_bench.text import plain
 from ..methods import METHOD_ORDER
 from .columns import column, is_own
 from .figures import Sizes
-from .grid import Column, Entry, Grid, Line, Part, of_cell
+from .grid import Column, Entry, Grid, Line, Part, with_records
 from .missing import Wanted
 from .scale import References, references_caption
 from .statistics import Floats
 from .study import SCORE, ByTask, Scales, Study, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
-from .table import ENOUGH_SEEDS, Block, Cell, build_cell, mark_best
+from .table import ENOUGH_SEEDS, Block, build_cell, mark_best
 from .words import ordered, short, slug, span
 
 AREA_TEXT = (
@@ -128,7 +128,7 @@ def _shown(group: str, chosen: _Chosen, first: Block, milestone: int, references
     tasks = ordered({one.dataset.task for one in _records(chosen)}, known_tasks(first.domain))
     served = {task: references[task] for task in tasks if task in references}
     scales = scales_of(first.domain, served)
-    cells: dict[tuple[int, str, str], Cell] = {}
+    cells: dict[tuple[int, str, str], Entry] = {}
     scores: dict[tuple[int, str], Entry] = {}
     for size in sizes:
         for task in tasks:
@@ -147,7 +147,7 @@ def _returns(shown: Sizes, chosen: _Chosen, scales: Scales) -> Grid:
     for size in shown.sizes:
         lines = []
         for method in shown.methods:
-            entries = [of_cell(shown.cells.get((size, task, method)), chosen[size, method][task]) for task in shown.tasks]
+            entries = [with_records(shown.cells.get((size, task, method)), chosen[size, method][task]) for task in shown.tasks]
             lines.append(Line((method,), (*entries, *([shown.scores.get((size, method))] if known else []))))
         lines += reference_lines(shown.references, shown.tasks, int(known))
         parts.append(Part(f"{short(size)} transitions", size, tuple(lines)))

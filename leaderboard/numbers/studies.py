@@ -18,7 +18,7 @@ from ..methods import BASELINES, canonical
 from . import statistics
 from .components import build_components
 from .figures import Bars, Bounds, Curves, Figure
-from .grid import Column, Entry, Grid, Line, Part, of_cell
+from .grid import Column, Entry, Grid, Line, Part, with_records
 from .learners import build_learners
 from .missing import Wanted
 from .overall import Overall
@@ -27,7 +27,7 @@ from .published import CITATION, MEAN, beside, caption, reported_relative, scale
 from .scale import LABELS, references_caption
 from .sizes import build_sizes
 from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
-from .table import ENOUGH_SEEDS, Block, Cell, Runs, build_cell, mark_best
+from .table import ENOUGH_SEEDS, Block, Runs, build_cell, mark_best
 from .words import ordered, short
 
 _MARKS = (
@@ -97,7 +97,7 @@ def _of_plan(block: Block, plan: Plan) -> Study | None:
 def _runs(block: Block, plan: Plan, chosen: dict[tuple[str, str], Sequence[Record]]) -> Runs:
     methods = tuple(label for label in plan.methods if any(method == label for method, _ in chosen))
     tasks = ordered({task for _, task in chosen}, block.tasks)
-    cells: dict[tuple[int, str, str], Cell] = {}
+    cells: dict[tuple[int, str, str], Entry] = {}
     for milestone in block.milestones:
         for task in tasks:
             row = mark_best([build_cell(chosen.get((method, task), ()), milestone) for method in methods])
@@ -121,7 +121,7 @@ def _returns(runs: Runs) -> Grid:
     for milestone in runs.milestones:
         lines = []
         for method in runs.methods:
-            entries = [of_cell(runs.cells.get((milestone, task, method)), runs.records.get((method, task), ())) for task in runs.tasks]
+            entries = [with_records(runs.cells.get((milestone, task, method)), runs.records.get((method, task), ())) for task in runs.tasks]
             if known:
                 entries.append(score_entry(_by_task(runs, method), scales, milestone))
             lines.append(Line((method,), tuple(entries)))
@@ -197,9 +197,8 @@ def _beside(runs: Runs, plan: Plan) -> list[Grid]:
                 found = beside(runs.algorithm, runs.domain, milestone, task, method, runs.cells.get((milestone, task, method)))
                 if found:
                     own |= method in plan.own
-                    ours = of_cell(found.ours, runs.records[method, task])
-                    gap = None if found.difference is None else Entry(found.difference)
-                    lines.append(Line((task, method), (ours, Entry(*found.paper), gap)))
+                    ours, *others = found.entries
+                    lines.append(Line(found.labels, (with_records(ours, runs.records[method, task]), *others)))
         if lines:
             parts.append(Part(_heading(milestone), milestone, tuple(lines)))
     if not own:

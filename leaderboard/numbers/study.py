@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -142,8 +142,7 @@ def scored_entry(entry: Entry | None, bounds: Bounds | None) -> Entry | None:
     """A mean return as a score between floor and ceiling; None if either is missing."""
     if entry is None or bounds is None:
         return None
-    std = None if entry.std is None else entry.std / (bounds.ceiling - bounds.floor)
-    return replace(entry, value=bounds.normalise(entry.value), std=std)
+    return entry.scored(bounds)
 
 
 def scored_grid(returns: Grid, tasks: Sequence[str], references: References) -> list[Grid]:

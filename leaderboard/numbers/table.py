@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from statistics import fmean, stdev
 from typing import Any
 
@@ -22,51 +23,13 @@ from cudc_bench.text import plain
 
 from ..methods import METHOD_ORDER, canonical
 from .columns import column, submitted_columns
+from .grid import Column, Entry, Grid, Line, Part
 from .plans import STUDY_METHODS
 from .scale import CEILING, FLOOR, References, references_caption, serving
 from .statistics import SIGNIFICANCE, holm
 from .words import extent, ordered, short, slug, span
 
 ENOUGH_SEEDS = 5
-
-
-@dataclass(frozen=True)
-class Cell:
-    """The result of one method on one task.
-
-    Attributes:
-        mean: mean return over collector seeds.
-        std: sample standard deviation over them; None for one seed.
-        n: number of collector seeds.
-        best: the largest mean of a row of several, after rounding to whole returns, or not significantly worse than it; ties share it.
-    """
-
-    mean: float
-    std: float | None
-    n: int
-    best: bool = False
-
-    def scored(self, bounds: Bounds) -> Cell:
-        """The same as a score between a floor and a ceiling."""
-        std = None if self.std is None else self.std / (bounds.ceiling - bounds.floor)
-        return replace(self, mean=bounds.normalise(self.mean), std=std)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One task; a cell for each method of the table, None where there is no result."""
-
-    task: str
-    cells: tuple[Cell | None, ...]
-
-
-@dataclass(frozen=True)
-class Section:
-    """The scores after ``milestone`` gradient steps; ``episodes`` are the smallest and largest number behind one score."""
-
-    milestone: int
-    episodes: tuple[int, int]
-    rows: tuple[Row, ...]
 
 
 @dataclass(frozen=True)
@@ -123,7 +86,7 @@ class Runs:
     tasks: tuple[str, ...]
     milestones: tuple[int, ...]
     records: Mapping[tuple[str, str], Sequence[Record]] = field(repr=False)
-    cells: Mapping[tuple[int, str, str], Cell] = field(repr=False)
+    cells: Mapping[tuple[int, str, str], Entry] = field(repr=False)
     references: References = field(default_factory=dict, repr=False)
 
     @property
@@ -140,8 +103,9 @@ class Table:
         group: profile and whatever differs from it, on one line (see ``Record.group``).
         algorithm, domain: evaluator and domain.
         slug: a safe and unique name for files.
-        methods: the columns: the paper's baselines and CUDC in the paper's order, then others by name; imported datasets have their own.
-        sections: one for each milestone, ascending.
+        grid: mean returns; a part for each milestone, ascending, a line for each task, and a column for each method: the paper's baselines
+            and CUDC in the paper's order, then others by name; imported datasets have their own.
+        episodes: at each milestone the smallest and largest number behind one score.
         records: all that it was made from.
         references: floor and ceiling of tasks that have a reference.
     """
@@ -150,45 +114,47 @@ class Table:
     algorithm: str
     domain: str
     slug: str
-    methods: tuple[str, ...]
-    sections: tuple[Section, ...]
+    grid: Grid
+    episodes: Mapping[int, tuple[int, int]]
     records: tuple[Record, ...] = field(repr=False)
     references: References = field(default_factory=dict, repr=False)
 
     @property
+    def methods(self) -> tuple[str, ...]:
+        """The columns."""
+        return tuple(column.name for column in self.grid.columns)
+
+    @property
+    def milestones(self) -> tuple[int, ...]:
+        """Of its parts: gradient steps, ascending."""
+        return tuple(self.episodes)
+
+    @property
     def tasks(self) -> tuple[str, ...]:
         """The rows: the domain's tasks in its order, then others by name."""
-        return tuple(row.task for row in self.sections[0].rows)
+        return tuple(line.labels[0] for line in self.grid.parts[0].lines)
 
     @property
     def headings(self) -> tuple[str, ...]:
         """The heads of its columns: the methods, between floor and ceiling if a task has a reference."""
         return (FLOOR, *self.methods, CEILING) if self.references else self.methods
 
-    @property
-    def cells(self) -> list[Cell]:
-        """All cells that hold a result."""
-        return [cell for section in self.sections for row in section.rows for cell in row.cells if cell]
+    @cached_property
+    def cells(self) -> dict[tuple[int, str, str], Entry]:
+        """The results that there are, by milestone, task and method."""
+        return {(int(part.key), line.labels[0], column.name): entry for part, line, column, entry in self.grid.entries() if entry}
 
     @property
     def seeds(self) -> str:
         """How many collector seeds are behind a cell, such as ``"5 seeds"`` or ``"1 to 3 seeds"``."""
-        return span([cell.n for cell in self.cells] or [0], "seed")
+        return span([cell.n for cell in self.cells.values()] or [0], "seed")
 
     @property
     def runs(self) -> Runs:
         """The same for figures."""
         records = by_cell(self.records)
-        cells = {
-            (section.milestone, row.task, method): cell
-            for section in self.sections
-            for row in section.rows
-            for method, cell in zip(self.methods, row.cells, strict=True)
-            if cell
-        }
         tasks = tuple(task for task in self.tasks if any((method, task) in records for method in self.methods))
-        milestones = tuple(section.milestone for section in self.sections)
-        return Runs(self.group, self.algorithm, self.domain, self.methods, tasks, milestones, records, cells, self.references)
+        return Runs(self.group, self.algorithm, self.domain, self.methods, tasks, self.milestones, records, self.cells, self.references)
 
     @property
     def commands(self) -> list[str]:
@@ -210,9 +176,9 @@ class Table:
     @property
     def caption(self) -> str:
         """What the numbers are, in plain ASCII except for what records bring along."""
-        steps = " and ".join(short(section.milestone) for section in self.sections)
-        episodes = ", ".join(f"{extent(*section.episodes)} at {short(section.milestone)}" for section in self.sections)
-        preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells)
+        steps = " and ".join(map(short, self.milestones))
+        episodes = ", ".join(f"{extent(*count)} at {short(milestone)}" for milestone, count in self.episodes.items())
+        preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells.values())
         imported = any(record.dataset.source for record in self.records)
         twins = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
                         if one.dataset.source is None and canonical(one.dataset.method) != one.dataset.method})  # fmt: skip
@@ -371,36 +337,38 @@ def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
     records = tuple(record for found in own.values() for record in found)
     known = DOMAINS[block.domain].tasks if block.domain in DOMAINS else ()
     tasks = ordered({*known, *(task for _, task in own)}, known)
-    sections = []
+    parts, episodes = [], {}
     for milestone in block.milestones:
         cells = [[build_cell(own.get((name, task), ()), milestone) for name in methods] for task in tasks]
-        rows = [Row(task, mark_best(row) if marked else tuple(row)) for task, row in zip(tasks, cells, strict=True)]
+        lines = [Line((task,), mark_best(row) if marked else tuple(row)) for task, row in zip(tasks, cells, strict=True)]
         evaluations = [record.evaluation(milestone) for record in records]
-        episodes = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
-        sections.append(Section(milestone, (min(episodes), max(episodes)), tuple(rows)))
+        counts = [len(evaluation.returns) for evaluation in evaluations if evaluation] or [0]
+        episodes[milestone] = min(counts), max(counts)
+        parts.append(Part(f"{short(milestone)} steps", milestone, tuple(lines)))
     shown = {task: block.references[task] for task in tasks if task in block.references}
-    return Table(plain(block.group), block.algorithm, block.domain, block.slug, tuple(methods), tuple(sections), records, shown)
+    grid = Grid("table", "Returns", "", "milestone", ("task",), tuple(map(Column, methods)), tuple(parts))
+    return Table(plain(block.group), block.algorithm, block.domain, block.slug, grid, episodes, records, shown)
 
 
-def build_cell(records: Iterable[Record], milestone: int) -> Cell | None:
+def build_cell(records: Iterable[Record], milestone: int) -> Entry | None:
     """The result of one method's records on one task; None if none was evaluated at the milestone."""
     scores = seed_scores(records, milestone)
-    return Cell(fmean(scores), stdev(scores) if len(scores) > 1 else None, len(scores)) if scores else None
+    return Entry(fmean(scores), stdev(scores) if len(scores) > 1 else None, None, len(scores)) if scores else None
 
 
-def mark_best(cells: Sequence[Cell | None]) -> tuple[Cell | None, ...]:
+def mark_best(cells: Sequence[Entry | None]) -> tuple[Entry | None, ...]:
     """The same cells; the best of several methods on one task, and those that are not significantly worse, are marked."""
     present = [cell for cell in cells if cell]
     if len(present) < 2:
         return tuple(cells)
-    first = max(present, key=lambda cell: (cell.mean, cell.n))
+    first = max(present, key=lambda cell: (cell.value, cell.n))
     tested = [cell for cell in present if cell is not first and min(cell.n, first.n) > 1]
     kept = [cell for cell, p in zip(tested, holm([_welch(first, cell) for cell in tested]), strict=True) if p >= SIGNIFICANCE]
-    best = {id(cell) for cell in (*kept, *(cell for cell in present if round(cell.mean) == round(first.mean)))}
+    best = {id(cell) for cell in (*kept, *(cell for cell in present if round(cell.value) == round(first.value)))}
     return tuple(cell and replace(cell, best=id(cell) in best) for cell in cells)
 
 
-def _welch(first: Cell, second: Cell) -> float:
+def _welch(first: Entry, second: Entry) -> float:
     """Two-sided p-value of the hypothesis that two cells of several seeds each have the same true mean (Welch 1947).
 
     Welch's test, because methods' deviations differ by much (the paper's by up to 40 times) and seeds are not paired. Measured with 5
@@ -410,10 +378,10 @@ def _welch(first: Cell, second: Cell) -> float:
     in 97 % of cases, and marks both of two methods that are equally good in 96 %.
     """
     if not first.std and not second.std:
-        return float(first.mean == second.mean)
+        return float(first.value == second.value)
     from scipy.stats import ttest_ind_from_stats
 
-    found = ttest_ind_from_stats(first.mean, first.std, first.n, second.mean, second.std, second.n, equal_var=False)
+    found = ttest_ind_from_stats(first.value, first.std, first.n, second.value, second.std, second.n, equal_var=False)
     return float(found.pvalue)
 
 

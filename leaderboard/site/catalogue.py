@@ -87,15 +87,13 @@ class Catalogue(Parts):
         referenced = any(table.references for table in tables)
         lines = []
         for table in tables:
-            section = next((one for one in table.sections if one.milestone == milestone), None)
-            for row in section.rows if section else ():
-                cell = row.cells[table.methods.index(method)]
-                item = self.cell(table, section, row, method) if section else Item()
-                within = student(cell.mean, cell.std, cell.n) if cell and cell.std is not None else None
-                bounds = table.references.get(row.task)
+            for task in table.tasks if milestone in table.milestones else ():
+                cell = table.cells.get((milestone, task, method))
+                within = student(cell.value, cell.std, cell.n) if cell and cell.std is not None else None
+                bounds = table.references.get(task)
                 ends = [self.end(name, getattr(bounds, name, None)) for name in (FLOOR, CEILING)] if referenced else []
-                lines.append(Line(Item(f"{table.domain} {row.task}", link=self._task_link(board, table, row.task)), (
-                    item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
+                lines.append(Line(Item(f"{table.domain} {task}", link=self._task_link(board, table, task)), (
+                    self.cell(table, milestone, task, method), Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
                 )))  # fmt: skip
         caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
         columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))

@@ -18,10 +18,15 @@ from cudc_bench.leaderboard.numbers.overall import build_overall
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import Study
 from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.output.report import study_files
+from cudc_bench.leaderboard.show.csv import of_grid as to_csv
+from cudc_bench.leaderboard.show.csv import of_overall as overall_to_csv
+from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
+from cudc_bench.leaderboard.show.csv import of_table as table_to_csv
 from cudc_bench.leaderboard.show.figures.runs import draw_bars, draw_curves
-from cudc_bench.leaderboard.show.grid_files import study_files, to_csv, to_latex, to_markdown, to_rich
-from cudc_bench.leaderboard.show.render import overall_to_csv, scores_to_csv
-from cudc_bench.leaderboard.show.render import to_csv as table_to_csv
+from cudc_bench.leaderboard.show.latex import of_study as to_latex
+from cudc_bench.leaderboard.show.markdown import of_study as to_markdown
+from cudc_bench.leaderboard.show.terminal import of_study as to_rich
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site
 

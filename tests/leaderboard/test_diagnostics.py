@@ -24,7 +24,7 @@ from cudc_bench.leaderboard.api import draw_diagnostics
 from cudc_bench.leaderboard.datasets.diagnostics import REPRESENTATION, compare, read_diagnostics, series
 from cudc_bench.leaderboard.methods import LOSSES, looks
 from cudc_bench.leaderboard.show.figures.diagnostics import diagnostic_files, draw_k, draw_losses, draw_representation
-from cudc_bench.leaderboard.show.render import diagnostics_to_rich
+from cudc_bench.leaderboard.show.terminal import of_diagnostics as diagnostics_to_rich
 
 Rows = Sequence[dict[str, Any]]
 FIGURES = {"k.svg", "k.pdf", "losses.svg", "losses.pdf"}  # and, where one was measured, of the representation

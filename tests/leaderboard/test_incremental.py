@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cudc_bench.leaderboard import api
+from cudc_bench.leaderboard.output import report
 from cudc_bench.leaderboard.output.incremental import LEDGER, Part, build
 
 
@@ -103,7 +104,7 @@ def test_a_leaderboard_is_made_again_where_records_changed(
     api.make_leaderboard(results, out)
     first = below(out)
     drawn: list[str] = []
-    monkeypatch.setattr(api, "curve_files", lambda table, real=api.curve_files: drawn.append(table.slug) or real(table))
+    monkeypatch.setattr(report, "curve_files", lambda table, real=report.curve_files: drawn.append(table.slug) or real(table))
     api.make_leaderboard(results, out)
     assert (drawn, below(out)) == ([], first)
     save(make_record(profile="demo", final=(1.0, 2.0)))

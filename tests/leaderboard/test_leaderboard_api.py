@@ -166,9 +166,9 @@ def test_needs_neither_torch_nor_a_simulator(make_record, save, tmp_path):
     loaded = modules_after(
         "from cudc_bench.leaderboard.api import make_leaderboard\n"
         "from cudc_bench.leaderboard.intake.load import load_records, to_frame\n"
-        "from cudc_bench.leaderboard.show.render import overall_to_rich, to_rich\n"
-        f"report = make_leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)\n"
-        "overall_to_rich(report.overall[0])"
+        "from cudc_bench.leaderboard.show import terminal\n"
+        f"report = make_leaderboard(*{paths!r}); terminal.of_table(report.tables[0]); to_frame(report.tables[0].records)\n"
+        "terminal.of_overall(report.overall[0])"
     )
     assert {"matplotlib", "jinja2", "pandas"} <= loaded
     assert not loaded & {"torch", "dm_control", "mujoco", "minari"}

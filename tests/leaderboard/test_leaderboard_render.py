@@ -9,7 +9,12 @@ from markdown_it import MarkdownIt
 from rich.console import Console
 
 from cudc_bench.leaderboard.numbers.table import build_tables
-from cudc_bench.leaderboard.show.render import escape_latex, escape_markdown, to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.show.csv import of_table as to_csv
+from cudc_bench.leaderboard.show.latex import escape as escape_latex
+from cudc_bench.leaderboard.show.latex import of_table as to_latex
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
+from cudc_bench.leaderboard.show.terminal import of_table as to_rich
+from cudc_bench.text import escape_markdown
 
 HOSTILE = "[bold]x[/bold] | *a* _b_ `c` <script> &amp; $m$ #1 100% {z} ~ ^ \\input{/etc/passwd} -- \x1b[31m\nnew"
 
@@ -119,26 +124,21 @@ def test_many_methods_are_the_terminals_rows(make_record):
     assert lines[1].split() == ["stand", "walk", "run", "flip"]
     by_name = {line.split()[0]: line for line in lines if line.startswith("method_")}
     assert list(by_name) == methods
-    cells = {method: row.cells[index] for row in table.sections[-1].rows if row.task == "walk" for index, method in enumerate(methods)}
-    assert all(f"{round(cells[method].mean)} ({cells[method].n})" in line for method, line in by_name.items())
+    cells = {method: table.cells[table.milestones[-1], "walk", method] for method in methods}
+    assert all(f"{round(cells[method].value)} ({cells[method].n})" in line for method, line in by_name.items())
 
 
 def test_csv_round_trip(table):
     frame = pd.read_csv(io.StringIO(to_csv(table)))
     assert len(frame) == 2 * 4 * 3
-    expected = {
-        (section.milestone, row.task, method): found
-        for section in table.sections
-        for row in section.rows
-        for method, found in zip(table.methods, row.cells, strict=True)
-    }
+    expected = {(part.key, *line.labels, column.name): found for part, line, column, found in table.grid.entries()}
     for line in frame.itertuples():
         found = expected[line.milestone, line.task, line.method]
         if found is None:
             assert line.seeds == 0
             assert pd.isna(line.mean)
         else:
-            assert (line.mean, line.seeds, line.best) == (found.mean, found.n, found.best)
+            assert (line.mean, line.seeds, line.best) == (found.value, found.n, found.best)
             assert pd.isna(line.std) if found.std is None else line.std == found.std
     assert set(frame.group) == {"cpu"}
 
@@ -147,8 +147,8 @@ def test_csv_keeps_full_precision(make_record):
     table = build_tables([make_record(final=[0.1 + 0.2]), make_record(seed=2, final=[1 / 3])])[0][0]
     lines = csv.DictReader(io.StringIO(to_csv(table)))
     (last,) = [line for line in lines if (line["milestone"], line["task"]) == ("20000", "walk")]
-    found = table.sections[1].rows[1].cells[0]
-    assert (float(last["mean"]), float(last["std"])) == (found.mean, found.std)
+    found = table.grid.parts[1].lines[1].entries[0]
+    assert (float(last["mean"]), float(last["std"])) == (found.value, found.std)
 
 
 def test_markdown_shows_hostile_text_as_it_is(hostile):

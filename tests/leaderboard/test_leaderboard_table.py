@@ -16,8 +16,7 @@ def only(records):
 
 
 def cell(table, section, task, method):
-    row = next(row for row in table.sections[section].rows if row.task == task)
-    return row.cells[table.methods.index(method)]
+    return table.cells.get((table.milestones[section], task, method))
 
 
 def test_mean_and_sample_deviation_over_collector_seeds(make_record):
@@ -27,24 +26,24 @@ def test_mean_and_sample_deviation_over_collector_seeds(make_record):
     found = cell(table, 1, "walk", "cudc")
     assert problems == []
     assert found.n == 3
-    assert found.mean == pytest.approx(scores.mean())
+    assert found.value == pytest.approx(scores.mean())
     assert found.std == pytest.approx(np.sqrt(((scores - scores.mean()) ** 2).sum() / 2))
 
 
 def test_milestones_use_their_own_evaluation(make_record):
     table, _ = only([make_record()])
-    assert [section.milestone for section in table.sections] == [10_000, 20_000]
-    assert cell(table, 0, "walk", "cudc").mean == 150.0
+    assert table.milestones == (10_000, 20_000)
+    assert cell(table, 0, "walk", "cudc").value == 150.0
     # The last milestone is the final evaluation (500), not the last point of the curve (300).
-    assert cell(table, 1, "walk", "cudc").mean == 500.0
-    assert [section.episodes for section in table.sections] == [(2, 2), (3, 3)]
+    assert cell(table, 1, "walk", "cudc").value == 500.0
+    assert table.episodes == {10_000: (2, 2), 20_000: (3, 3)}
 
 
 def test_training_runs_on_one_dataset_are_one_seed(make_record):
     first = make_record(seed=1, final=[100.0])
     again = make_record(seed=1, final=[300.0]).model_copy(update={"seed": 2})
     found = cell(only([first, again, make_record(seed=2, final=[600.0])])[0], 1, "walk", "cudc")
-    assert (found.n, found.mean) == (2, 400.0)
+    assert (found.n, found.value) == (2, 400.0)
     assert found.std == pytest.approx(np.std([200.0, 600.0], ddof=1))
 
 
@@ -80,15 +79,14 @@ def test_best_is_by_rounded_mean_and_ties_share_it(make_record):
             make_record(method="apt", final=[99.6]),
         ]
     )
-    assert [c.best for c in table.sections[1].rows[1].cells] == [False, True, True]
+    assert [c.best for c in table.grid.parts[1].lines[1].entries] == [False, True, True]
 
 
 def marked(make_record, scores):
     """The methods that are best on one task, from each one's score for each seed."""
     records = [make_record(method=m, seed=i, final=[score]) for m, of_seeds in scores.items() for i, score in enumerate(of_seeds, 1)]
     table, _ = only(records)
-    row = next(row for row in table.sections[-1].rows if row.task == "walk")
-    return {method for method, found in zip(table.methods, row.cells, strict=True) if found.best}
+    return {method for method in table.methods if table.cells[table.milestones[-1], "walk", method].best}
 
 
 FAR, NEAR, TOP = [100.0, 130.0, 90.0, 120.0, 110.0], [480.0, 560.0, 500.0, 530.0, 430.0], [500.0, 540.0, 520.0, 560.0, 480.0]
@@ -130,7 +128,7 @@ def test_scores_without_any_spread_are_told_apart(make_record):
 
 def test_a_cell_alone_in_its_row_is_not_best(make_record):
     table, _ = only([make_record(), make_record(method="icm", task="run")])
-    assert not any(c.best for c in table.cells)
+    assert not any(c.best for c in table.cells.values())
 
 
 @pytest.mark.parametrize(
@@ -148,7 +146,7 @@ def test_what_may_not_be_compared_never_shares_a_table(other, make_record):
     tables, _ = build_tables([make_record(seed=1), make_record(seed=2, **other)])
     assert len(tables) == 2
     assert [len(table.records) for table in tables] == [1, 1]
-    assert all(c.n == 1 for table in tables for c in table.cells)
+    assert all(c.n == 1 for table in tables for c in table.cells.values())
 
 
 def test_slugs_of_domains_that_look_alike_differ_and_make_no_folders(make_record):
@@ -163,7 +161,7 @@ def test_other_milestones_are_left_out_and_reported(make_record):
     records = [make_record(seed=seed) for seed in (1, 2)]
     odd = make_record(seed=3, milestones=[10_000], final=[999.0])
     table, problems = only([odd, *records])
-    assert cell(table, 1, "walk", "cudc").mean == 500.0
+    assert cell(table, 1, "walk", "cudc").value == 500.0
     assert cell(table, 1, "walk", "cudc").n == 2
     (problem,) = problems
     assert odd.dataset.id in problem
@@ -214,7 +212,7 @@ def test_slugs_are_safe_and_unique(make_record):
 
 def test_order_of_records_does_not_matter(make_record):
     records = [make_record(seed=seed, final=[0.1 * seed, 7.7]) for seed in range(1, 8)]
-    assert only(records)[0].sections == only(records[::-1])[0].sections
+    assert only(records)[0].grid == only(records[::-1])[0].grid
 
 
 @pytest.mark.parametrize(
@@ -236,7 +234,7 @@ def test_an_imported_dataset_has_a_column_of_its_own_for_each_size(make_record):
     assert problems == []
     assert table.group == "cpu"
     assert table.methods == ("proto", "proto (A. Nother, 1M)", "proto (ExORL, 10M)", "proto (ExORL, 1M)")
-    assert [cell(table, 1, "walk", method).mean for method in table.methods] == [100.0, 200.0, 900.0, 300.0]
+    assert [cell(table, 1, "walk", method).value for method in table.methods] == [100.0, 200.0, 900.0, 300.0]
     assert "that dataset was imported, not collected here." in table.caption
     assert "imported" not in only(records[:1])[0].caption
     assert list(to_frame(records).method.unique()) == ["proto", "proto (ExORL, 10M)", "proto (ExORL, 1M)", "proto (A. Nother, 1M)"]

@@ -27,9 +27,13 @@ from cudc_bench.leaderboard.numbers import statistics
 from cudc_bench.leaderboard.numbers.overall import ALL, THRESHOLDS, Overall, build_overall
 from cudc_bench.leaderboard.numbers.statistics import Interval
 from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.csv import of_overall as overall_to_csv
+from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
 from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles, draw_ranks, overall_figure_files
 from cudc_bench.leaderboard.show.figures.drawing import _STYLE
-from cudc_bench.leaderboard.show.render import overall_to_csv, overall_to_latex, overall_to_markdown, overall_to_rich, scores_to_csv
+from cudc_bench.leaderboard.show.latex import of_overall as overall_to_latex
+from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
+from cudc_bench.leaderboard.show.terminal import of_overall as overall_to_rich
 
 quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -17,7 +17,10 @@ from cudc_bench.leaderboard.numbers import power as ours
 from cudc_bench.leaderboard.numbers import statistics
 from cudc_bench.leaderboard.numbers.overall import Overall, build_overall
 from cudc_bench.leaderboard.numbers.table import build_tables
-from cudc_bench.leaderboard.show.render import overall_to_latex, overall_to_markdown, overall_to_rich, power_to_csv
+from cudc_bench.leaderboard.show.csv import of_power as power_to_csv
+from cudc_bench.leaderboard.show.latex import of_overall as overall_to_latex
+from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
+from cudc_bench.leaderboard.show.terminal import of_overall as overall_to_rich
 
 TASKS = ("stand", "walk", "run", "flip")
 COVARIANCE = 0.05**2 * (0.3 * np.eye(4) + 0.7) * np.outer([1, 1, 0.4, 0.7], [1, 1, 0.4, 0.7])

@@ -9,13 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 
 from cudc_bench.errors import RunError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.numbers import published
 from cudc_bench.leaderboard.numbers.published import beside_paper, reported, reported_relative
 from cudc_bench.leaderboard.numbers.table import build_tables
-from cudc_bench.leaderboard.show.render import paper_to_csv, paper_to_latex, paper_to_markdown
+from cudc_bench.leaderboard.show.csv import of_paper as paper_to_csv
+from cudc_bench.leaderboard.show.latex import of_paper as paper_to_latex
+from cudc_bench.leaderboard.show.markdown import of_paper as paper_to_markdown
 
 MILESTONES = {"milestones": [100_000, 500_000], "profile": "paper"}
 TASKS = ("stand", "walk", "run", "flip")
@@ -57,16 +60,18 @@ def test_ours_stand_beside_the_same_cells_only(paper_record: Callable) -> None:
     records = [paper_record("cudc", "walk", seed, 800.0 + seed, 900.0 + 10 * seed) for seed in (1, 2)]
     records += [paper_record("my_method", "walk", 1, 1.0, 2.0), paper_record("cudc", "juggle", 1, 1.0, 2.0)]
     found = beside(records)
-    first, last = found.rows
-    assert (first.milestone, first.task, first.method, first.ours.mean, first.paper) == (100_000, "walk", "cudc", 801.5, (827, 64))
-    assert last.difference == pytest.approx((915 - 893) / 34)
+    (first,), (last,) = (part.lines for part in found.parts)
+    ours, paper, _ = first.entries
+    assert (found.parts[0].key, first.labels, ours.value, paper.value, paper.std) == (100_000, ("walk", "cudc"), 801.5, 827, 64)
+    assert last.entries[2].value == pytest.approx((915 - 893) / 34)
     text = paper_to_markdown(found)
     assert "| walk | cudc | 915 ± 7 (2) | 893 ± 34 | +0.6 |" in text
+    assert [token.type for token in MarkdownIt().enable("table").parse(text)].count("table_open") == 2
     assert "Profile paper: the paper's sizes, but another implementation." in text
-    latex = paper_to_latex(found)
+    latex = paper_to_latex(found, "a-table")
     assert r"walk & cudc & 915 $\pm$ 7 (2) & 893 $\pm$ 34 & $+0.6$ \\" in latex
     assert latex.isascii()
-    lines = list(csv.DictReader(io.StringIO(paper_to_csv(found))))
+    lines = list(csv.DictReader(io.StringIO(paper_to_csv(found, build_tables(records)[0][0]))))
     assert [(line["mean"], line["paper_mean"], line["paper_std"]) for line in lines] == [
         ("801.5", "827.0", "64.0"),
         ("915.0", "893.0", "34.0"),
@@ -86,7 +91,7 @@ def test_what_differs_from_the_papers_cell_stands_alone(change: dict, paper_reco
 @pytest.mark.parametrize("change", [{"profile": "cpu"}, {"dataset_overrides": {"width": 512}}])
 def test_another_profile_is_said_to_be_of_another_size(change: dict, paper_record: Callable) -> None:
     found = beside([paper_record("cudc", "walk", 1, 1.0, 2.0, **change)])
-    for text in (paper_to_markdown(found), paper_to_latex(found)):
+    for text in (paper_to_markdown(found), paper_to_latex(found, "a-table")):
         assert "SIZES DIFFER: this is profile" in text
         assert "not to be ranked with our own results" in text
 

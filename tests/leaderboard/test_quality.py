@@ -15,7 +15,7 @@ from cudc_bench.data.reader import load_episodes
 from cudc_bench.errors import UsageError
 from cudc_bench.leaderboard.api import measure_quality
 from cudc_bench.leaderboard.datasets.quality import QUANTILES, action_correlation, particle_entropies, reward_density
-from cudc_bench.leaderboard.show.quality_files import quality_files
+from cudc_bench.leaderboard.output.report import quality_files
 
 TASKS = ("stand", "walk", "run", "flip")
 

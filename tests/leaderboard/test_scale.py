@@ -23,23 +23,21 @@ from cudc_bench.leaderboard.numbers.scale import BETWEEN, OF_LARGEST, scale_of, 
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
 from cudc_bench.leaderboard.numbers.table import Table, build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.csv import of_grid as grid_to_csv
+from cudc_bench.leaderboard.show.csv import of_paper as paper_to_csv
+from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
+from cudc_bench.leaderboard.show.csv import of_table as to_csv
 from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles
 from cudc_bench.leaderboard.show.figures.draw import draw
 from cudc_bench.leaderboard.show.figures.runs import draw_task
-from cudc_bench.leaderboard.show.grid_files import to_csv as grid_to_csv
-from cudc_bench.leaderboard.show.grid_files import to_markdown as grid_to_markdown
-from cudc_bench.leaderboard.show.render import (
-    overall_to_markdown,
-    overall_to_rich,
-    paper_to_csv,
-    paper_to_latex,
-    paper_to_markdown,
-    scores_to_csv,
-    to_csv,
-    to_latex,
-    to_markdown,
-    to_rich,
-)
+from cudc_bench.leaderboard.show.latex import of_paper as paper_to_latex
+from cudc_bench.leaderboard.show.latex import of_table as to_latex
+from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_paper as paper_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_study as grid_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
+from cudc_bench.leaderboard.show.terminal import of_overall as overall_to_rich
+from cudc_bench.leaderboard.show.terminal import of_table as to_rich
 from cudc_bench.settings.config import as_dict, build, config_hash
 from cudc_bench.settings.evaluate_config import OnlineConfig
 from cudc_bench.settings.profiles import PROFILES
@@ -398,15 +396,16 @@ def test_a_reference_that_cannot_be_used_is_a_problem_and_stops_nothing(runs: Ca
 def test_the_papers_numbers_have_floor_and_ceiling_beside_them(make_record: Callable) -> None:
     records = [make_record(profile="paper", milestones=[100_000, 500_000], scores=[(0, [0.0]), (100_000, [300.0]), (500_000, [1.0])])]
     references = {("paper", "walker", "walk"): Bounds(40.0, 45.0, 940.0, 3)}
-    paper, plain = (beside_paper(table_of(records, some)) for some in (references, {}))
+    table = table_of(records, references)
+    paper, plain = beside_paper(table), beside_paper(table_of(records, {}))
     assert paper is not None
     assert plain is not None
     (row,) = [line for line in paper_to_markdown(paper).splitlines() if line.startswith("| walk | cudc | 500 (1) |")]
     assert row.endswith(" | 40 | 940 |")
     assert "| difference | floor | ceiling |" in paper_to_markdown(paper)
-    assert "& 40 & 940" in paper_to_latex(paper)
-    assert {line.count("&") for line in paper_to_latex(paper).splitlines() if line.endswith(r"\\")} == {6}
-    assert [one["ceiling"] for one in csv.DictReader(io.StringIO(paper_to_csv(paper)))] == ["940.0"] * 2
+    assert "& 40 & 940" in paper_to_latex(paper, table.slug)
+    assert {line.count("&") for line in paper_to_latex(paper, table.slug).splitlines() if line.endswith(r"\\")} == {6}
+    assert [one["ceiling"] for one in csv.DictReader(io.StringIO(paper_to_csv(paper, table)))] == ["940.0"] * 2
     assert "Floor: mean return of random actions" in paper.caption
     assert "ceiling" not in paper_to_markdown(plain)
-    assert {line.count("&") for line in paper_to_latex(plain).splitlines() if line.endswith(r"\\")} == {4}
+    assert {line.count("&") for line in paper_to_latex(plain, table.slug).splitlines() if line.endswith(r"\\")} == {4}

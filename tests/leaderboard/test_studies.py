@@ -31,10 +31,13 @@ from cudc_bench.leaderboard.numbers.sizes import area_weights
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
 from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
+from cudc_bench.leaderboard.show.csv import of_grid as to_csv
 from cudc_bench.leaderboard.show.figures.draw import draw
 from cudc_bench.leaderboard.show.figures.drawing import _STYLE, figure_files, filled, legend
 from cudc_bench.leaderboard.show.figures.runs import draw_bars
-from cudc_bench.leaderboard.show.grid_files import to_csv, to_latex, to_markdown, to_rich
+from cudc_bench.leaderboard.show.latex import of_study as to_latex
+from cudc_bench.leaderboard.show.markdown import of_study as to_markdown
+from cudc_bench.leaderboard.show.terminal import of_study as to_rich
 
 TASKS = ("stand", "walk", "run", "flip")
 PAPER = {"milestones": [100_000, 500_000], "profile": "paper", "dataset_steps": 1_000_000}
@@ -184,11 +187,11 @@ def test_returns_are_those_of_the_main_table_and_mean_scores_those_of_the_overal
     found = cells(grid(study, "returns"))
     (table,) = build_tables(records)[0]
     overall = build_overall([table])[0]
-    for section in table.sections:
-        for row in section.rows:
-            for method, cell in zip(table.methods, row.cells, strict=True):
-                entry = found[section.milestone, method, row.task]
-                assert (entry.value, entry.std, entry.n) == (cell.mean, cell.std, cell.n)
+    for part in table.grid.parts:
+        for line in part.lines:
+            for method, cell in zip(table.methods, line.entries, strict=True):
+                entry = found[part.key, method, *line.labels]
+                assert (entry.value, entry.std, entry.n) == (cell.value, cell.std, cell.n)
                 assert len(entry.records) == 5
     for comparison in overall.comparisons:
         for standing in comparison.standings:

@@ -27,7 +27,9 @@ from cudc_bench.leaderboard.numbers.columns import column
 from cudc_bench.leaderboard.numbers.missing import find_missing
 from cudc_bench.leaderboard.numbers.overall import build_overall
 from cudc_bench.leaderboard.numbers.table import build_tables
-from cudc_bench.leaderboard.show.render import overall_to_markdown, to_latex, to_markdown
+from cudc_bench.leaderboard.show.latex import of_table as to_latex
+from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
 from cudc_bench.settings.config import config_hash
 
 from .test_hostile_records import changed
@@ -344,8 +346,8 @@ def test_a_run_of_ours_that_somebody_repeated_stands_beside_it(ground: Path) -> 
     says = "the same run as results/smoke/0.json (td3 on cudc, walker walk, seed 1, ours), with other returns"
     assert any(says in remark for remark in received.remarks)
     (table,), _ = build_tables(load_records([Path("results")]).records)
-    row = next(row for row in table.sections[-1].rows if row.task == "walk")
-    assert {m: cell and cell.mean for m, cell in zip(table.methods, row.cells, strict=True)} == {
+    found = {method: table.cells.get((table.milestones[-1], "walk", method)) for method in table.methods}
+    assert {method: cell and cell.value for method, cell in found.items()} == {
         "cudc": 2.5, "cudc (by ann)": pytest.approx(sum(other["final"]["returns"] + other["late"][0]["returns"]) / 4),
     }  # fmt: skip
 
@@ -440,9 +442,11 @@ def test_they_stand_apart_in_everything(ground: Path) -> None:
     (table,), (overall,) = report.tables, report.overall
     assert table.methods == ("icm", "cudc", "cudc (by ann)")
     # Our cells hold what they held before.
-    for section, before in zip(table.sections, alone[0].sections, strict=True):
-        for row, old in zip(section.rows, before.rows, strict=True):
-            assert [(cell.mean, cell.std, cell.n) for cell in row.cells[:2] if cell] == [(c.mean, c.std, c.n) for c in old.cells if c]
+    for part, before in zip(table.grid.parts, alone[0].grid.parts, strict=True):
+        for line, old in zip(part.lines, before.lines, strict=True):
+            assert [(cell.value, cell.std, cell.n) for cell in line.entries[:2] if cell] == [
+                (c.value, c.std, c.n) for c in old.entries if c
+            ]
     assert overall.submitted == ("cudc (by ann)",)
     assert find_missing(report.tables) == report.missing == []
     for text in (to_markdown(table), overall_to_markdown(overall), to_latex(table)):

@@ -10,8 +10,10 @@ import pytest
 from cudc_bench.artefacts.records import Record, record_path, write_record
 from cudc_bench.leaderboard.api import Report, make_leaderboard
 from cudc_bench.leaderboard.intake.load import load_records, to_frame
-from cudc_bench.leaderboard.show.grid_files import to_csv as study_to_csv
-from cudc_bench.leaderboard.show.render import overall_to_csv, scores_to_csv, to_csv
+from cudc_bench.leaderboard.show.csv import of_grid as study_to_csv
+from cudc_bench.leaderboard.show.csv import of_overall as overall_to_csv
+from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
+from cudc_bench.leaderboard.show.csv import of_table as to_csv
 
 TASKS = ("stand", "walk", "run", "flip")
 # Of the main tables and of each study.

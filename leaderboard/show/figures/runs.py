@@ -79,10 +79,10 @@ def draw_bars(runs: Runs) -> Figure:
                 for number, milestone in enumerate(runs.milestones)
                 if (cell := runs.cells.get((milestone, task, method)))
             }
-            panel.bar(list(cells), [cell.mean for cell in cells.values()], 0.9, **filled(look))
+            panel.bar(list(cells), [cell.value for cell in cells.values()], 0.9, **filled(look))
             spread = {at: cell for at, cell in cells.items() if cell.std is not None}
             panel.errorbar(
-                list(spread), [cell.mean for cell in spread.values()], [cell.std or 0.0 for cell in spread.values()],
+                list(spread), [cell.value for cell in spread.values()], [cell.std or 0.0 for cell in spread.values()],
                 color="black", linestyle="", elinewidth=0.8, capsize=1.5, capthick=0.8,
             )  # fmt: skip
         middles = [number * group + (len(runs.methods) - 1) / 2 for number in range(len(runs.milestones))]

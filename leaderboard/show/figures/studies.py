@@ -36,10 +36,10 @@ def draw_bounds(shown: Bounds) -> Figure:
             cells = {bounds[method]: cell for method in runs.methods if (cell := runs.cells.get((milestone, task, method)))}
             # A little beside each other, so that no error bar hides another.
             at = [bound + 0.08 * (place - (len(runs.milestones) - 1) / 2) for bound in cells]
-            panel.plot(at, [cell.mean for cell in cells.values()], markersize=4, linewidth=1.2, **look)
+            panel.plot(at, [cell.value for cell in cells.values()], markersize=4, linewidth=1.2, **look)
             for x, cell in zip(at, cells.values(), strict=True):
                 if cell.std is not None:
-                    panel.errorbar(x, cell.mean, cell.std, color=look["color"], elinewidth=0.9, capsize=2, capthick=0.9)
+                    panel.errorbar(x, cell.value, cell.std, color=look["color"], elinewidth=0.9, capsize=2, capthick=0.9)
         panel.set_title(task)
         panel.set_xlabel("largest k")
         panel.set_xticks(sorted(bounds.values()))
@@ -75,8 +75,8 @@ def draw_sizes(sizes: Sizes) -> Figure:
 def _draw_returns(panel: Axes, sizes: Sizes, task: str, shown: Mapping[str, dict[str, Any]]) -> None:
     for method, look in shown.items():
         cells = {size: cell for size in sizes.sizes if (cell := sizes.cells.get((size, task, method)))}
-        spread = {size: (cell.mean - cell.std, cell.mean + cell.std) for size, cell in cells.items() if cell.std is not None}
-        _draw_points(panel, {size: cell.mean for size, cell in cells.items()}, spread, look)
+        spread = {size: (cell.value - cell.std, cell.value + cell.std) for size, cell in cells.items() if cell.std is not None}
+        _draw_points(panel, {size: cell.value for size, cell in cells.items()}, spread, look)
     panel.set_title(task)
     draw_references(panel, task, sizes.references)
     returns_axis(panel, sizes.domain, sizes.tasks)
