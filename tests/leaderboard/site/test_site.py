@@ -28,7 +28,7 @@ from cudc_bench.leaderboard.numbers.table import build_blocks, tables_of
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site, brief
 
-from ..waiting import PATIENCE
+from ...waiting import PATIENCE
 
 html5lib = pytest.importorskip("html5lib", reason="html5lib is not installed: pip install 'cudc-bench[dev]'")
 WALK_PAGE = "paper.td3.walker/task-walk.html"

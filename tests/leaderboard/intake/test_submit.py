@@ -32,7 +32,7 @@ from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdo
 from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
 from cudc_bench.settings.config import config_hash
 
-from .test_hostile_records import changed
+from ..test_hostile_records import changed
 
 TASKS = ("stand", "walk", "run", "flip")
 # TD3 at the smoke profile, written out: what it is must not follow from the code under test.

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from ..waiting import PATIENCE
+from ...waiting import PATIENCE
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install 'cudc-bench[dev]'")
 CHROMIUM = shutil.which("chromium")
