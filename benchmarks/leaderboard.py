@@ -16,9 +16,9 @@ from benchmarks.measure import Row
 from cudc_bench.artefacts.records import read_record, record_path, to_json
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.load import load_records
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.intake.load import load_records
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 

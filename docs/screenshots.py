@@ -26,7 +26,7 @@ def main(records: str, output: str) -> None:
     with TemporaryDirectory() as place, sync_playwright() as driver:
         report = cudc_bench.make_leaderboard(records, place, datasets=False)
         table = next((one for one in report.tables if one.group == "paper"), report.tables[0])
-        task = next(row.task for row in table.sections[-1].rows if any(row.cells))
+        task = next(line.labels[0] for line in table.grid.parts[-1].lines if any(line.entries))
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
         pages: tuple[tuple[str, str, Literal["light", "dark"]], ...] = (
             ("overview", "index.html", "light"),

@@ -29,19 +29,18 @@ def leaderboard(
     from cudc_bench.execution.progress import say
 
     from . import api
-    from .grid_files import to_rich as study_to_rich
-    from .render import overall_to_rich, to_rich
+    from .show import terminal
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
     screen = Console(highlight=False)
     for table in report.tables:
-        screen.print(to_rich(table))
+        screen.print(terminal.of_table(table))
         screen.print()
     for overall in report.overall:
-        screen.print(overall_to_rich(overall))
+        screen.print(terminal.of_overall(overall))
         screen.print()
     for study in report.studies:
-        screen.print(study_to_rich(study))
+        screen.print(terminal.of_study(study))
         screen.print()
     for problem in report.problems:
         say(f"problem: {problem}")
@@ -65,8 +64,8 @@ def submit(
     """Check somebody else's records and add them to ours, marked as theirs."""
     from cudc_bench.execution.progress import say
 
-    from .submit import RefusedError
-    from .submit import submit as run
+    from .intake.submit import RefusedError
+    from .intake.submit import submit as run
 
     try:
         received = run(records, by, url=url, note=note, output=output, overwrite=overwrite)
@@ -90,11 +89,11 @@ def diagnostics(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Draw how k and the losses of collectors went."""
-    from .diagnostic_figures import draw_diagnostics
-    from .render import diagnostics_to_rich
+    from .api import draw_diagnostics
+    from .show.terminal import of_diagnostics
 
     report = draw_diagnostics(dataset_ids or None, output, domain, _methods(method))
-    _show(map(diagnostics_to_rich, report.comparisons), report.remarks, report.files)
+    _show(map(of_diagnostics, report.comparisons), report.remarks, report.files)
 
 
 def stats(
@@ -104,10 +103,11 @@ def stats(
     method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
-    from .quality_files import measure_quality, to_rich
+    from .api import measure_quality
+    from .show.terminal import of_quality
 
     report = measure_quality(dataset_ids or None, output, domain, _methods(method))
-    _show(map(to_rich, report.tables), report.remarks, report.files)
+    _show(map(of_quality, report.tables), report.remarks, report.files)
 
 
 def _methods(text: str | None) -> tuple[str, ...] | None:

@@ -31,7 +31,7 @@ import cudc_bench
 import cudc_bench.data.writer
 from cudc_bench.cli import app as cli
 from cudc_bench.data.reader import verify_fingerprint
-from cudc_bench.leaderboard.incremental import LEDGER
+from cudc_bench.leaderboard.output.incremental import LEDGER
 from cudc_bench.suites import scheduler
 from cudc_bench.suites.pool import job_worker
 

@@ -32,6 +32,11 @@ ROOMS = (
     "errors", "files", "text", "plugins", "settings", "artefacts", "execution", "learning", "envs", "data", "runs", "cli", "stages",
     "suites",
 )  # fmt: skip
+# Those of the stage that is large enough to have some.
+HOUSES = {
+    "cudc_bench": ROOMS,
+    "cudc_bench.leaderboard": ("methods", "numbers", "intake", "datasets", "show", "site", "output", "api", "command"),
+}
 ids = {path: path.relative_to(ROOT).as_posix() for path in SOURCES}.get
 
 
@@ -119,15 +124,30 @@ def test_a_stage_imports_the_core_and_itself_and_the_core_no_stage(path: Path) -
     assert stages_in(imports(path)) <= {SOURCES[path]}
 
 
-def room_of(module: str) -> str:
-    return module.split(".")[1] if "." in module else ""
+def room_of(module: str, house: str) -> str:
+    """The room of a house that a module of it lies in; empty for the house's own file."""
+    return module.removeprefix(house).removeprefix(".").split(".")[0]
 
 
-@pytest.mark.parametrize("path", [path for path in CORE if room_of(module_of(path))], ids=ids)
-def test_a_room_imports_only_those_below_it(path: Path) -> None:
+IN_ROOMS = [
+    (house, path)
+    for house, paths in {"cudc_bench": CORE, "cudc_bench.leaderboard": sorted((ROOT / "leaderboard").rglob("*.py"))}.items()
+    for path in paths
+    if room_of(module_of(path), house)
+]
+
+
+@pytest.mark.parametrize(("house", "path"), IN_ROOMS, ids=[ids(path) for _, path in IN_ROOMS])
+def test_a_room_imports_only_those_below_it(house: str, path: Path) -> None:
     """But for the package's own file, which offers what lies in all of them."""
-    below = ROOMS[: ROOMS.index(room_of(module_of(path))) + 1]
-    assert {room_of(name) for name in needed(path)} <= {*below, ""}
+    rooms = HOUSES[house]
+    below = rooms[: rooms.index(room_of(module_of(path), house)) + 1]
+    assert {room_of(name, house) for name in needed(path) if f"{name}.".startswith(f"{house}.")} <= {*below, ""}
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "leaderboard" / "numbers").rglob("*.py")), ids=ids)
+def test_numbers_know_nothing_of_pictures(path: Path) -> None:
+    assert "matplotlib" not in {name.split(".")[0] for name in imports(path)}
 
 
 def test_no_module_needs_itself_through_others() -> None:
@@ -162,7 +182,7 @@ def test_records_and_data_need_neither_torch_nor_a_simulator(path: Path) -> None
     [
         "cudc_bench",
         "cudc_bench.leaderboard.api",
-        "cudc_bench.leaderboard.diagnostics",
+        "cudc_bench.leaderboard.datasets.diagnostics",
         "cudc_bench.data.reader",
         "cudc_bench.data.writer",
         "cudc_bench.envs",

@@ -11,11 +11,11 @@ import pytest
 import cudc_bench
 from cudc_bench.artefacts.records import read_record
 from cudc_bench.leaderboard.api import Report, make_leaderboard
-from cudc_bench.leaderboard.overall import Comparison
-from cudc_bench.leaderboard.published import reported
-from cudc_bench.leaderboard.render import to_markdown
-from cudc_bench.leaderboard.scale import BETWEEN
-from cudc_bench.leaderboard.statistics import Interval
+from cudc_bench.leaderboard.numbers.overall import Comparison
+from cudc_bench.leaderboard.numbers.published import reported
+from cudc_bench.leaderboard.numbers.scale import BETWEEN
+from cudc_bench.leaderboard.numbers.statistics import Interval
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = ROOT / "results" / "cpu" / "walker"

@@ -17,10 +17,11 @@ class Crew(Generic[T]):
     Args:
         make: starts one.
         most: how many there are at once.
+        saves: whether what tasks have done is kept when they are asked to leave.
     """
 
-    def __init__(self, make: Callable[[], Worker[T]], most: int) -> None:
-        self._make, self._most = make, most
+    def __init__(self, make: Callable[[], Worker[T]], most: int, saves: bool = True) -> None:
+        self._make, self._most, self._saves = make, most, saves
         self._workers: list[Worker[T]] = []
 
     @property
@@ -51,7 +52,7 @@ class Crew(Generic[T]):
             is_over: asked while nothing is under way: whether no task will come any more.
             each_round: called five times a second, or more often.
         """
-        with interrupts.leave_well(self.ask):
+        with interrupts.leave_well(self.ask, self._saves):
             try:
                 while True:
                     if interrupts.requested():

@@ -1,4 +1,4 @@
-"""Independent jobs on the cores of one machine, each with its own progress bar.
+"""Independent jobs on the cores of one machine, each with its own progress bar; and functions that only compute, with one for all.
 
 A job is a top-level function called as ``function(advance, **arguments)``. On a CPU every member of a stack is a job of its own,
 since small matrices gain nothing from being stacked there; on a GPU all members share one job.
@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from multiprocessing import get_context, parent_process
+from typing import Any, TypeVar
 
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
-from cudc_bench.execution.progress import Advance, bars, say
-from cudc_bench.execution.workers import Died, Ended, Worker
+from cudc_bench.execution.progress import Advance, bar_if_long, bars, say
+from cudc_bench.execution.workers import Died, Ended, Tell, Worker
 
+T = TypeVar("T")
 _THREADS = "OMP_NUM_THREADS"  # read by torch when it is imported
+_FEW = 6  # So many functions are done as fast by one process as others need to start.
 _share: int | None = None  # in a worker process: of the machine's cores, where other processes have the rest
 
 
@@ -96,13 +101,68 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
     threads = threads or max(1, cores() // workers)
     with bars([(job.description, job.total) for job in jobs], unit) as advances:
         if min(workers, len(jobs)) > 1:
-            return _run_in_processes(function, jobs, advances, workers, threads)
+            return _run_in_processes(lambda: Worker(partial(_work, function, threads)), jobs, advances, workers)
         with interrupts.leave_well():
             return [_call(function, job, threads, advance) for job, advance in zip(jobs, advances, strict=True)]
 
 
-def _run_in_processes(function: Callable[..., Any], jobs: list[Job], advances: list[Any], workers: int, threads: int) -> list[Any]:
-    crew: Crew[tuple[int, Job]] = Crew(lambda: Worker(partial(_work, function, threads)), workers)
+def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, few: int = _FEW) -> list[T]:
+    """What some functions return, in their order; where there are more than a ``few``, the cores share them.
+
+    The processes are forked: they have everything that this one has, so that functions may be closures and nothing is copied. The first
+    Ctrl-C waits for what has begun, and nothing is kept.
+
+    Raises:
+        RunError: a process died.
+    """
+    with bar_if_long(description, len(functions), unit) as advance:
+        if len(functions) <= few or not _can_fork():
+            results = []
+            for function in functions:
+                results.append(function())
+                advance(1)
+            return results
+
+        def do(task: tuple[int, Job], tell: Tell) -> T:
+            result = functions[task[0]]()
+            tell(1)
+            return result
+
+        def make() -> Worker[tuple[int, Job]]:
+            return Worker(do, saves=lambda _: False, context=get_context("fork"))
+
+        jobs = [Job(description, 1)] * len(functions)
+        # Outside of both, so that a request is not forgotten that comes when the last function ends.
+        with warnings.catch_warnings(), interrupts.leave_well(saves=False):
+            # Python warns of every thread; those of NumPy's libraries are made for it.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            try:
+                found = _run_in_processes(make, jobs, [advance] * len(jobs), cores(), saves=False)
+            except interrupts.Interrupted:
+                found = []
+            if interrupts.requested():
+                raise KeyboardInterrupt
+            return found
+
+
+def _can_fork() -> bool:
+    # A lock that another thread holds at that moment would stay locked for ever in the new process.
+    return cores() > 1 and threading.active_count() == 1 and parent_process() is None
+
+
+def _run_in_processes(
+    make: Callable[[], Worker[tuple[int, Job]]], jobs: list[Job], advances: Sequence[Advance], workers: int, saves: bool = True
+) -> list[Any]:
+    """The jobs' results, in their order.
+
+    Args:
+        make: starts a process that does a job, given with its number, and tells how far it is.
+        jobs: what to do.
+        advances: of each job's bar.
+        workers: how many processes at most.
+        saves: whether what a job has done is kept when it is asked to leave.
+    """
+    crew = Crew(make, workers, saves)
     left = list(reversed(list(enumerate(jobs))))
     results: dict[int, Any] = {}
     errors: dict[int, BaseException] = {}

@@ -10,17 +10,19 @@ from math import ceil
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
 
-from ..load import short
-from ..missing import Missing
-from ..overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
-from ..power import FOUND
-from ..published import Beside, beside_paper
-from ..scale import Scale, largest_return
-from ..statistics import student
-from ..table import Cell, Row, Section, Table, seed_scores, span
+from ..numbers.grid import Entry
+from ..numbers.missing import Missing
+from ..numbers.overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
+from ..numbers.power import FOUND
+from ..numbers.published import beside_paper
+from ..numbers.scale import Scale, largest_return
+from ..numbers.statistics import student
+from ..numbers.table import Table, seed_scores
+from ..numbers.words import short, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
 from .parts import (
     Board,
+    Paper,
     brief,
     by_column,
     commit,
@@ -73,7 +75,7 @@ class Boards(Studies):
             Line(
                 Item(brief(one.group), link=one.path),
                 (Item(one.algorithm), Item(", ".join(table.domain for table in one.tables)), count(len(one.methods)),
-                 Item(span([cell.n for table in one.tables for cell in table.cells] or [0], "seed")
+                 Item(span([cell.n for table in one.tables for cell in table.cells.values()] or [0], "seed")
                       + (", preliminary" if one.preliminary else "")), count(one.runs)),
             )
             for one in boards
@@ -136,7 +138,7 @@ class Boards(Studies):
         """What a comparison is about."""
         counts = (span([board.runs], "run"), span([len(board.methods)], "method"))
         domains = ", ".join(table.domain for table in board.tables)
-        seeds = span([cell.n for table in board.tables for cell in table.cells] or [0], "seed")
+        seeds = span([cell.n for table in board.tables for cell in table.cells.values()] or [0], "seed")
         return (f"{', '.join(counts)} on {domains}; {seeds} behind a cell.",)
 
     def badges(self, board: Board) -> tuple[str, ...]:
@@ -254,10 +256,9 @@ class Boards(Studies):
         for method in board.methods:
             items: list[Item] = []
             for table in board.tables:
-                section = next((one for one in table.sections if one.milestone == milestone), None)
-                items += [self.cell(table, section, row, method) for row in section.rows] if section else [Item() for _ in table.tasks]
+                items += [self.cell(table, milestone, task, method) for task in table.tasks]
             lines.append(Line(self.name(method), tuple(items)))
-        lines += self.ends(board.tables, lambda table, task, name, value: [self.end(name, value)])
+        lines += self.ends([(table, task) for table in board.tables for task in table.tasks], lambda name, value: [self.end(name, value)])
         caption = (
             f"{board.algorithm}, profile {brief(board.group)}, {short(milestone)} gradient steps: mean ± sample standard deviation (seeds)"
         )
@@ -267,7 +268,7 @@ class Boards(Studies):
         """The page of a table."""
         single = replace(board, tables=(table,))
         exhibits = [Exhibit(
-            "Results", grids=tuple(self._matrix(single, section.milestone) for section in reversed(table.sections)),
+            "Results", grids=tuple(self._matrix(single, milestone) for milestone in reversed(table.milestones)),
             downloads=self.downloads(table.slug, ("table",)), text=(table.caption,),
         )]  # fmt: skip
         curves = self.figure(table.slug, "curves", f"Learning curves on {table.domain}: return over gradient steps, a panel for each task.")
@@ -290,10 +291,7 @@ class Boards(Studies):
     def task(self, board: Board, table: Table, task: str) -> Page:
         """The page of a task of a table."""
         largest = largest_return(table.domain, task)
-        grids = []
-        for section in reversed(table.sections):
-            row = next(one for one in section.rows if one.task == task)
-            grids.append(self._task_grid(table, section, row))
+        grids = [self._task_grid(table, milestone, task) for milestone in reversed(table.milestones)]
         name = f"task-{task}" if f"task-{task}.svg" in self.site.files.get(table.slug, ()) else "curves"
         what = f"Learning curves of all methods on {table.domain} {task}: mean return over gradient steps, band: one standard deviation."
         exhibits = [
@@ -316,44 +314,44 @@ class Boards(Studies):
         crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
         return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(exhibits))
 
-    def _task_grid(self, table: Table, section: Section, row: Row) -> Grid:
-        largest, scale = largest_return(table.domain, row.task), self.scale(table, row.task)
+    def _task_grid(self, table: Table, milestone: int, task: str) -> Grid:
+        largest, scale = largest_return(table.domain, task), self.scale(table, task)
+        cells = {method: table.cells.get((milestone, task, method)) for method in table.methods}
         papers = self.paper(table)
         columns = [Heading("mean"), Heading("std"), Heading("95 % interval", sorts=False), Heading("seeds"),
                    Heading("each seed", number=False, sorts=False)]  # fmt: skip
-        with_paper = any((section.milestone, row.task, method) in papers for method in table.methods)
+        with_paper = any((milestone, task, method) in papers for method in table.methods)
         if with_paper:
             columns += [Heading("paper"), Heading("difference")]
         lines = []
-        reach = largest or max([1.0, *(abs(cell.mean) for cell in row.cells if cell)])
-        together = by_column(table, row.task)
-        for method, cell in zip(table.methods, row.cells, strict=True):
+        reach = largest or max([1.0, *(abs(cell.value) for cell in cells.values() if cell)])
+        together = by_column(table, task)
+        for method, cell in cells.items():
             items = [Item()] * len(columns)
             if cell is not None:
-                link = runs_path(table, row.task, method, section.milestone)
+                link = runs_path(table, task, method, milestone)
                 items = [*self._numbers(cell, scale, link), count(cell.n)]
-                picture = dots(seed_scores(together[method], section.milestone), cell.mean, reach, self.colour(method))
-                items.append(Item("", cell.mean, picture=picture))
+                picture = dots(seed_scores(together[method], milestone), cell.value, reach, self.colour(method))
+                items.append(Item("", cell.value, picture=picture))
                 if with_paper:
-                    items += _paper_items(papers.get((section.milestone, row.task, method)), scale)
+                    items += _paper_items(papers.get((milestone, task, method)), scale)
             lines.append(Line(self.name(method), tuple(items)))
-        single = replace(table, sections=(replace(section, rows=(row,)),))
-        lines += self.ends([single], lambda table, task, name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
-        low, high = section.episodes
+        lines += self.ends([(table, task)], lambda name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
+        low, high = table.episodes[milestone]
         caption = (
-            f"{table.domain} {row.task} after {short(section.milestone)} gradient steps, evaluation episodes:"
+            f"{table.domain} {task} after {short(milestone)} gradient steps, evaluation episodes:"
             f" {low if low == high else f'{low} to {high}'}"
         )
-        return Grid(caption, "method", tuple(columns), tuple(lines), milestone=section.milestone, filters="methods")
+        return Grid(caption, "method", tuple(columns), tuple(lines), milestone=milestone, filters="methods")
 
-    def _numbers(self, cell: Cell, scale: Scale | None, link: str) -> list[Item]:
-        within = None if cell.std is None else student(cell.mean, cell.std, cell.n)
+    def _numbers(self, cell: Entry, scale: Scale | None, link: str) -> list[Item]:
+        within = None if cell.std is None else student(cell.value, cell.std, cell.n)
 
         def scaled(*values: float) -> str:
             return " to ".join(f"{scale.score(value) + 0.0:.3f}" for value in values) if scale else MISSING
 
         return [
-            Item(f"{cell.mean:.1f}", cell.mean, link, cell.best, scaled(cell.mean)),
+            Item(f"{cell.value:.1f}", cell.value, link, cell.best, scaled(cell.value)),
             Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=f"{scale.width(cell.std):.3f}" if scale else MISSING),
             Item() if within is None else Item(f"{within.low:.0f} to {within.high:.0f}", scaled=scaled(within.low, within.high)),
         ]
@@ -388,9 +386,10 @@ def _missing(missing: Sequence[Missing]) -> Exhibit:
                    lines=tuple(lines), code=tuple(code), folded=len(missing) > 5)  # fmt: skip
 
 
-def _paper_items(paper: Beside | None, scale: Scale | None) -> list[Item]:
-    if paper is None or paper.paper is None:
+def _paper_items(paper: Paper | None, scale: Scale | None) -> list[Item]:
+    if paper is None:
         return [Item(), Item()]
-    mean, std = paper.paper
-    shown = Item(pm(mean, std), mean, scaled=pm_scaled(mean, std, scale) if scale else MISSING)
-    return [shown, Item() if paper.difference is None else Item(f"{paper.difference:+.1f} σ", paper.difference)]
+    theirs, difference = paper
+    scaled = pm_scaled(theirs.value, theirs.std, scale) if scale else MISSING
+    shown = Item(pm(theirs.value, theirs.std), theirs.value, scaled=scaled)
+    return [shown, Item() if difference is None else Item(f"{difference.value:+.1f} σ", difference.value)]

@@ -10,12 +10,13 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.data.card import facts_of
 from cudc_bench.text import plain
 
-from ..load import column, short
-from ..overall import LEAD, NAMES
-from ..scale import CEILING, FLOOR
-from ..statistics import student
-from ..table import Table
-from .datasets import Dataset, Local
+from ..datasets.behind import Dataset, Local
+from ..numbers.columns import column
+from ..numbers.overall import LEAD, NAMES
+from ..numbers.scale import CEILING, FLOOR
+from ..numbers.statistics import student
+from ..numbers.table import Table
+from ..numbers.words import short
 from .methods import describe
 from .models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
 from .parts import (
@@ -77,34 +78,26 @@ class Catalogue(Parts):
         return Page(method_path(method), method, crumbs, (), (), tuple(exhibits))
 
     def _method_results(self, board: Board, method: str) -> Exhibit:
-        grids = []
-        referenced = any(table.references for table in (*board.tables, *board.hidden) if method in table.methods)
-        for milestone in board.milestones:
-            lines = []
-            for table in (one for one in (*board.tables, *board.hidden) if method in one.methods):
-                section = next((one for one in table.sections if one.milestone == milestone), None)
-                for row in section.rows if section else ():
-                    cell = row.cells[table.methods.index(method)] if method in table.methods else None
-                    item = self.cell(table, section, row, method) if section else Item()
-                    within = student(cell.mean, cell.std, cell.n) if cell and cell.std is not None else None
-                    bounds = table.references.get(row.task)
-                    ends = [self.end(name, getattr(bounds, name, None)) for name in (FLOOR, CEILING)] if referenced else []
-                    lines.append(Line(Item(f"{table.domain} {row.task}", link=self._task_link(board, table, row.task)), (
-                        item, Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
-                    )))  # fmt: skip
-            caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
-            columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))
-            grids.append(Grid(caption, "task", columns, tuple(lines), milestone=milestone))
-        facts = []
-        for comparison in board.overall.comparisons if board.overall else ():
-            standing = next((one for one in comparison.standings if one.method == method), None)
-            if standing is None:
-                continue
-            found = standing.estimates[LEAD]
-            around = f" ({found.interval.low:.3f} to {found.interval.high:.3f})" if found.interval else ""
-            chance = f", rank 1 with probability {standing.ranks[0]:.2f}" if standing.ranks else ""
-            facts.append((comparison.title, Item(f"{NAMES[LEAD]} {found.value:.3f}{around}{chance}")))
+        tables = [table for table in (*board.tables, *board.hidden) if method in table.methods]
+        grids = [self._method_grid(board, tables, method, milestone) for milestone in board.milestones]
+        facts = _standings(board, method)
         return Exhibit(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
+
+    def _method_grid(self, board: Board, tables: Sequence[Table], method: str, milestone: int) -> Grid:
+        referenced = any(table.references for table in tables)
+        lines = []
+        for table in tables:
+            for task in table.tasks if milestone in table.milestones else ():
+                cell = table.cells.get((milestone, task, method))
+                within = student(cell.value, cell.std, cell.n) if cell and cell.std is not None else None
+                bounds = table.references.get(task)
+                ends = [self.end(name, getattr(bounds, name, None)) for name in (FLOOR, CEILING)] if referenced else []
+                lines.append(Line(Item(f"{table.domain} {task}", link=self._task_link(board, table, task)), (
+                    self.cell(table, milestone, task, method), Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
+                )))  # fmt: skip
+        caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
+        columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))
+        return Grid(caption, "task", columns, tuple(lines), milestone=milestone)
 
     @staticmethod
     def _task_link(board: Board, table: Table, task: str) -> str | None:
@@ -192,6 +185,20 @@ class Catalogue(Parts):
         columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
         return Exhibit("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
+
+
+def _standings(board: Board, method: str) -> list[tuple[str, Item]]:
+    """What became of a method in each comparison of a board."""
+    facts = []
+    for comparison in board.overall.comparisons if board.overall else ():
+        standing = next((one for one in comparison.standings if one.method == method), None)
+        if standing is None:
+            continue
+        found = standing.estimates[LEAD]
+        around = f" ({found.interval.low:.3f} to {found.interval.high:.3f})" if found.interval else ""
+        chance = f", rank 1 with probability {standing.ranks[0]:.2f}" if standing.ranks else ""
+        facts.append((comparison.title, Item(f"{NAMES[LEAD]} {found.value:.3f}{around}{chance}")))
+    return facts
 
 
 def _measured(dataset: Dataset, local: Local) -> list[Exhibit]:

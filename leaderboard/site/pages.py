@@ -21,8 +21,8 @@ from pathlib import Path
 
 from cudc_bench.text import html_templates
 
-from ..figures import looks
-from ..load import short
+from ..methods import looks
+from ..numbers.words import short
 from .boards import Boards
 from .catalogue import Catalogue
 from .models import Page

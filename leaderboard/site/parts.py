@@ -14,17 +14,20 @@ from cudc_bench.artefacts.references import reference_path
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.text import plain
 
-from ..figures import looks
-from ..load import column
-from ..missing import Missing
-from ..overall import Overall
-from ..published import Beside, beside_paper
-from ..scale import CEILING, FLOOR, LABELS, Scale, scale_of
-from ..study import Study
-from ..table import ENOUGH_SEEDS, METHOD_ORDER, Row, Section, Table, file_word, group_slug, ordered, span
-from .datasets import Dataset, Local, datasets_of
+from ..datasets.behind import Dataset, Local, datasets_of
+from ..methods import METHOD_ORDER, looks
+from ..numbers.columns import column
+from ..numbers.grid import Entry
+from ..numbers.missing import Missing
+from ..numbers.overall import Overall
+from ..numbers.published import beside_paper
+from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
+from ..numbers.study import Study
+from ..numbers.table import ENOUGH_SEEDS, Table
+from ..numbers.words import file_word, group_slug, ordered, span
 from .models import MISSING, Exhibit, Figure, Item, Line, swatch
 
+Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
 _DASHES = {"-": "", "--": "5 2", "-.": "5 2 1.5 2", ":": "1.5 2"}
 _LONG = 90  # letters of a name that stands in a line with others
@@ -129,7 +132,7 @@ class Board:
     @property
     def milestones(self) -> list[int]:
         """Of its tables, the last first."""
-        return sorted({section.milestone for table in self.tables for section in table.sections}, reverse=True)
+        return sorted({milestone for table in self.tables for milestone in table.milestones}, reverse=True)
 
     @property
     def runs(self) -> int:
@@ -139,7 +142,7 @@ class Board:
     @property
     def preliminary(self) -> bool:
         """Whether a cell has fewer than five seeds."""
-        return any(cell.n < ENOUGH_SEEDS for table in self.tables for cell in table.cells)
+        return any(cell.n < ENOUGH_SEEDS for table in self.tables for cell in table.cells.values())
 
 
 def run_of(record: Record) -> Run:
@@ -157,7 +160,7 @@ class Parts:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self._papers: dict[str, dict[tuple[int, str, str], Beside]] = {}
+        self._papers: dict[str, dict[tuple[int, str, str], Paper]] = {}
         self._looks: dict[str, dict[str, Any]] = {}  # of the page under way: as in its figures
 
     @cached_property
@@ -208,42 +211,42 @@ class Parts:
         pictures = tuple(one for name in rest for one in self.figure(slug, name, f"Figure: {name.replace('-', ' ').replace('_', ' ')}."))
         return [Exhibit("More", figures=pictures, downloads=self.downloads(slug, rest))]
 
-    def cell(self, table: Table, section: Section, row: Row, method: str) -> Item:
+    def cell(self, table: Table, milestone: int, task: str, method: str) -> Item:
         """A method's result on a task, with the paper's beside it."""
-        cell = row.cells[table.methods.index(method)] if method in table.methods else None
+        cell = table.cells.get((milestone, task, method))
         if cell is None:
             return Item()
-        scale = self.scale(table, row.task)
-        paper = self.paper(table).get((section.milestone, row.task, method))
+        scale = self.scale(table, task)
+        paper = self.paper(table).get((milestone, task, method))
         beside = beside_scaled = None
-        if paper is not None and paper.paper is not None:
-            difference = "" if paper.difference is None else f", {paper.difference:+.1f} σ"
-            beside = f"paper {pm(*paper.paper)}{difference}"
-            beside_scaled = f"paper {pm_scaled(*paper.paper, scale)}{difference}" if scale else beside
+        if paper is not None:
+            theirs, difference = paper
+            apart = "" if difference is None else f", {difference.value:+.1f} σ"
+            beside = f"paper {pm(theirs.value, theirs.std)}{apart}"
+            beside_scaled = f"paper {pm_scaled(theirs.value, theirs.std, scale)}{apart}" if scale else beside
         return Item(
-            pm(cell.mean, cell.std), cell.mean, runs_path(table, row.task, method, section.milestone), cell.best,
-            pm_scaled(cell.mean, cell.std, scale) if scale else MISSING, f"({cell.n})", beside, beside_scaled,
+            pm(cell.value, cell.std), cell.value, runs_path(table, task, method, milestone), cell.best,
+            pm_scaled(cell.value, cell.std, scale) if scale else MISSING, f"({cell.n})", beside, beside_scaled,
         )  # fmt: skip
 
     def scale(self, table: Table, task: str) -> Scale | None:
         """By what a task's returns are normalised where a reader asks for it."""
         return scale_of(table.domain, task, table.references)
 
-    def ends(self, tables: Sequence[Table], items: Callable[[Table, str, str, float | None], Sequence[Item]]) -> list[Line]:
+    def ends(self, places: Sequence[tuple[Table, str]], items: Callable[[str, float | None], Sequence[Item]]) -> list[Line]:
         """Rows of floors and ceilings below those of methods; none if no task has a reference.
 
         Args:
-            tables: whose tasks are side by side.
-            items: the cells of a table's task in the row ``"floor"`` or ``"ceiling"``, whose return there is None without a reference.
+            places: tables and tasks of theirs that are side by side.
+            items: the cells of a place in the row ``"floor"`` or ``"ceiling"``, whose return there is None without a reference.
         """
-        if not any(table.references for table in tables):
+        if not any(table.references for table, _ in places):
             return []
         return [
             Line(Item(LABELS[name]), tuple(
                 item
-                for table in tables
-                for task in table.tasks
-                for item in items(table, task, name, getattr(table.references[task], name) if task in table.references else None)
+                for table, task in places
+                for item in items(name, getattr(table.references[task], name) if task in table.references else None)
             ))
             for name in (FLOOR, CEILING)
         ]  # fmt: skip
@@ -253,11 +256,17 @@ class Parts:
         """A floor or a ceiling as a cell."""
         return Item() if value is None else Item(f"{value:.{digits}f}", value, scaled=f"{float(name == CEILING):.3f}")
 
-    def paper(self, table: Table) -> dict[tuple[int, str, str], Beside]:
-        """The paper's cells beside a table's."""
+    def paper(self, table: Table) -> dict[tuple[int, str, str], Paper]:
+        """The paper's cells beside a table's, by milestone, task and method."""
         if table.slug not in self._papers:
             paper = beside_paper(table)
-            self._papers[table.slug] = {(one.milestone, one.task, one.method): one for one in (paper.rows if paper else ())}
+            lines = [(int(part.key), line) for part in (paper.parts if paper else ()) for line in part.lines]
+            self._papers[table.slug] = {
+                (milestone, *line.labels): (theirs, difference)  # type: ignore[misc]
+                for milestone, line in lines
+                if (theirs := line.entries[1])
+                for difference in [line.entries[2]]
+            }
         return self._papers[table.slug]
 
 

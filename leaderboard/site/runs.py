@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.artefacts.records import Record
 
-from ..load import short
-from ..table import ENOUGH_SEEDS, Table, span
+from ..numbers.table import ENOUGH_SEEDS, Table
+from ..numbers.words import short, span
 from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
 from .parts import (
     Board,
@@ -42,10 +42,10 @@ class Runs(Parts):
     def _runs(self, board: Board, table: Table, task: str, method: str, records: Sequence[Record]) -> Page:
         ids = {id(record): f"run-{index}" for index, record in enumerate(records, 1)}
         exhibits = []
-        for section in reversed(table.sections):
+        for milestone in reversed(table.milestones):
             lines = []
             for record in records:
-                found = record.evaluation(section.milestone)
+                found = record.evaluation(milestone)
                 dataset = self.site.dataset_of[id(record)]
                 numbers = [Item()] * 4
                 if found is not None:
@@ -55,11 +55,11 @@ class Runs(Parts):
                 )))  # fmt: skip
             columns = (Heading("training seed"), Heading("mean return"), Heading("lowest"), Heading("highest"), Heading("episodes"),
                        Heading("dataset", number=False))  # fmt: skip
-            cell = next((one.cells[table.methods.index(method)] for one in section.rows if one.task == task), None)
-            result = "no result" if cell is None else f"{pm(cell.mean, cell.std)} over {span([cell.n], 'seed')}"
-            caption = f"{method} on {table.domain} {task} after {short(section.milestone)} gradient steps: {result}"
+            cell = table.cells.get((milestone, task, method))
+            result = "no result" if cell is None else f"{pm(cell.value, cell.std)} over {span([cell.n], 'seed')}"
+            caption = f"{method} on {table.domain} {task} after {short(milestone)} gradient steps: {result}"
             grid = Grid(caption, "collector seed", columns, tuple(lines))
-            exhibits.append(Exhibit(f"After {short(section.milestone)} gradient steps", grids=(grid,), id=f"at-{section.milestone}"))
+            exhibits.append(Exhibit(f"After {short(milestone)} gradient steps", grids=(grid,), id=f"at-{milestone}"))
         parts = tuple(self._run(table, record, ids[id(record)]) for record in records)
         exhibits.append(Exhibit("Each run", parts=parts))
         # A hidden table has no pages of its own.
@@ -84,10 +84,10 @@ class Runs(Parts):
                 ),
             ),
         ]
-        for section in reversed(table.sections):
-            found = record.evaluation(section.milestone)
+        for milestone in reversed(table.milestones):
+            found = record.evaluation(milestone)
             if found is not None:
-                facts.append((f"returns at {short(section.milestone)}", Item(", ".join(f"{value:.1f}" for value in found.returns))))
+                facts.append((f"returns at {short(milestone)}", Item(", ".join(f"{value:.1f}" for value in found.returns))))
         facts += [
             ("training", Item(f"{record.seconds:,.0f} seconds, seed {record.seed}, hyperparameters {brief(record.hyperparameters_hash)}")),
             ("machine", Item(machine_text(record) or MISSING)),

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 
 from cudc_bench.artefacts.records import Record
 
-from .. import grid as study_grid
-from ..grid_files import text
-from ..load import column
-from ..plans import canonical
-from ..study import Study
-from ..table import ENOUGH_SEEDS
+from ..methods import canonical
+from ..numbers import grid as study_grid
+from ..numbers.columns import column
+from ..numbers.study import Study
+from ..numbers.table import ENOUGH_SEEDS
+from ..show.text import text
 from .models import Exhibit, Figure, Grid, Heading, Item, Line, Page
 from .parts import Board, Parts, method_path, runs_path, study_path
 
@@ -50,7 +50,7 @@ class Studies(Parts):
             ]
             boards = [board for board in self.site.boards if study in self.studies_of(board)]
             crumbs = self.crumbs(boards[0]) if len(boards) == 1 else (("Overview", "index.html"),)
-            few = any(entry.n is not None and entry.n < ENOUGH_SEEDS for one in study.tables for *_, entry in one.entries() if entry)
+            few = any(0 < entry.n < ENOUGH_SEEDS for one in study.tables for *_, entry in one.entries() if entry)
             badges = ("Preliminary: fewer than five seeds",) if few else ()
             yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(exhibits))
 

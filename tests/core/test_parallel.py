@@ -6,13 +6,14 @@ import os
 import pickle
 import signal
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from cudc_bench.errors import DEBUG, RunError
 from cudc_bench.execution import interrupts
-from cudc_bench.execution.parallel import Job, run_jobs
+from cudc_bench.execution.parallel import Job, computed, run_jobs
 
 
 def counting(advance: Any, *, upto: int, fail: bool = False) -> int:
@@ -156,3 +157,53 @@ def test_a_request_holds_until_all_stages_are_over() -> None:
             run_jobs(ends_so, jobs({"how": "short"}), unit="steps", workers=1, threads=1)
     assert caught.value.message == "interrupted before the next run began; the same command continues from there."
     assert not interrupts.requested()
+
+
+# Functions that only compute
+
+
+def test_many_functions_give_their_results_in_order() -> None:
+    assert computed([lambda number=number: number**2 for number in range(40)], "squaring", "numbers") == [n**2 for n in range(40)]  # type: ignore[misc]
+
+
+# In a process of its own: with other threads nothing would be forked.
+FORKED = """
+import os, signal, sys, time
+from cudc_bench.errors import RunError
+from cudc_bench.execution import parallel
+parallel.use_cores(2)
+home = os.getpid()
+
+def one(index):
+    if index == 3 and WHAT == "fail":
+        raise RunError("three is too many")
+    if index == 3 and WHAT == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if index == 3 and WHAT == "stop":
+        os.kill(home, signal.SIGINT)
+        time.sleep(0.3)
+    os.write(1, f"did {index} {os.getpid() != home}\\n".encode())
+    return index
+
+try:
+    print(parallel.computed([lambda index=index: one(index) for index in range(20)], "counting", "numbers"))
+except (RunError, KeyboardInterrupt) as error:
+    print("ended by", type(error).__name__, error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "end"),
+    [
+        ("nothing", str(list(range(20)))),
+        ("fail", "ended by RunError three is too many"),
+        ("die", "ended by RunError a worker process died (SIGKILL, perhaps out of memory); run the same command again."),
+        ("stop", "ended by KeyboardInterrupt "),
+    ],
+)
+def test_functions_are_shared_by_forked_processes_and_what_ends_one_ends_all(what: str, end: str, python: Callable) -> None:
+    code, out, _ = python(FORKED.replace("WHAT", repr(what)))
+    lines = out.splitlines()
+    assert (code, lines[-1]) == (0, end)
+    assert all(line.endswith(" True") for line in lines[:-1])
+    assert len(lines) == 21 if what == "nothing" else len(lines) < 15

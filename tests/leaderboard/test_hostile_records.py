@@ -19,24 +19,22 @@ from rich.console import Console
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import write_record
 from cudc_bench.cli.app import main
-from cudc_bench.leaderboard.load import load_records
-from cudc_bench.leaderboard.overall import build_overall
-from cudc_bench.leaderboard.published import beside_paper
-from cudc_bench.leaderboard.render import (
-    overall_to_csv,
-    overall_to_latex,
-    overall_to_markdown,
-    overall_to_rich,
-    paper_to_csv,
-    paper_to_latex,
-    paper_to_markdown,
-    scores_to_csv,
-    to_csv,
-    to_latex,
-    to_markdown,
-    to_rich,
-)
-from cudc_bench.leaderboard.table import build_tables
+from cudc_bench.leaderboard.intake.load import load_records
+from cudc_bench.leaderboard.numbers.overall import build_overall
+from cudc_bench.leaderboard.numbers.published import beside_paper
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.show.csv import of_overall as overall_to_csv
+from cudc_bench.leaderboard.show.csv import of_paper as paper_to_csv
+from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
+from cudc_bench.leaderboard.show.csv import of_table as to_csv
+from cudc_bench.leaderboard.show.latex import of_overall as overall_to_latex
+from cudc_bench.leaderboard.show.latex import of_paper as paper_to_latex
+from cudc_bench.leaderboard.show.latex import of_table as to_latex
+from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_paper as paper_to_markdown
+from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
+from cudc_bench.leaderboard.show.terminal import of_overall as overall_to_rich
+from cudc_bench.leaderboard.show.terminal import of_table as to_rich
 from cudc_bench.text import visible
 
 HOSTILE = [
@@ -88,7 +86,7 @@ def check_outputs(records: list[Any]) -> None:
         assert Path(overall.slug).name == overall.slug
     for table in tables:
         paper = beside_paper(table)
-        for text in (paper_to_markdown(paper), paper_to_latex(paper), paper_to_csv(paper)) if paper else ():
+        for text in (paper_to_markdown(paper), paper_to_latex(paper, table.slug), paper_to_csv(paper, table)) if paper else ():
             assert is_plain(text)
             text.encode()
         rows = list(csv.reader(io.StringIO(to_csv(table))))

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
-from cudc_bench.leaderboard.incremental import LEDGER
+from cudc_bench.leaderboard.output.incremental import LEDGER
 
 from ..waiting import PATIENCE
 
@@ -165,10 +165,10 @@ def test_needs_neither_torch_nor_a_simulator(make_record, save, tmp_path):
     paths = (str(save(make_record())), str(tmp_path / "out"))
     loaded = modules_after(
         "from cudc_bench.leaderboard.api import make_leaderboard\n"
-        "from cudc_bench.leaderboard.load import load_records, to_frame\n"
-        "from cudc_bench.leaderboard.render import overall_to_rich, to_rich\n"
-        f"report = make_leaderboard(*{paths!r}); to_rich(report.tables[0]); to_frame(report.tables[0].records)\n"
-        "overall_to_rich(report.overall[0])"
+        "from cudc_bench.leaderboard.intake.load import load_records, to_frame\n"
+        "from cudc_bench.leaderboard.show import terminal\n"
+        f"report = make_leaderboard(*{paths!r}); terminal.of_table(report.tables[0]); to_frame(report.tables[0].records)\n"
+        "terminal.of_overall(report.overall[0])"
     )
     assert {"matplotlib", "jinja2", "pandas"} <= loaded
     assert not loaded & {"torch", "dm_control", "mujoco", "minari"}

@@ -1,0 +1,1 @@
+"""Datasets themselves: what is in them, and how their collection went."""

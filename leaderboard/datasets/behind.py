@@ -1,0 +1,129 @@
+"""The datasets behind a leaderboard: what its records say of each."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cudc_bench.artefacts.ids import default_id, parse_id
+from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.provenance import command_line, is_own_command
+from cudc_bench.artefacts.records import Record, settings_text
+from cudc_bench.errors import UsageError
+from cudc_bench.text import plain
+
+from ..numbers.columns import column
+from ..numbers.table import Table
+from ..numbers.words import file_word
+from .quality import Quality
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A collection that one or several records were trained on.
+
+    Attributes:
+        id: the collected dataset's; None where the records' ids do not tell or are none.
+        name: what to call it.
+        method: its column in tables.
+        domain, seed, steps, profile, overrides, source: as in the records.
+        labelled: task, id and fingerprint of each dataset that was trained on.
+        records: all that were trained on it.
+        word: a safe and unique name for files.
+    """
+
+    id: str | None
+    name: str
+    method: str
+    domain: str
+    seed: int
+    steps: int
+    profile: str
+    overrides: Mapping[str, Any] = field(hash=False)
+    source: str | None
+    labelled: tuple[tuple[str, str, str], ...]
+    records: tuple[Record, ...] = field(repr=False)
+    word: str
+
+    @property
+    def settings(self) -> str:
+        """The profile of its collection and whatever differs from it."""
+        return f"{self.profile} ({settings_text(self.overrides)})" if self.overrides else self.profile
+
+    @property
+    def commands(self) -> list[tuple[str, str]]:
+        """What collects and labels it again, as label and command; nothing where no command could."""
+        if self.source is not None or self.id is None:
+            return []
+        options = {"--domain": self.domain, "--method": self.records[0].dataset.method, "--seed": str(self.seed), "--profile": self.profile}
+        try:
+            if str(default_id(self.domain, self.records[0].dataset.method, self.seed)) != self.id:
+                options["--dataset-id"] = self.id
+        except UsageError:
+            options["--dataset-id"] = self.id
+        found = [("Collect it", command_line("collect", options, self.overrides)), ("Label it", f"cudc-bench relabel {self.id}")]
+        return [(label, command) for label, command in found if is_own_command(command)]
+
+
+@dataclass(frozen=True)
+class Local:
+    """A dataset that is in Minari's root on this machine, with the fingerprint that the records name.
+
+    Attributes:
+        id, manifest: which.
+        quality: what its states are worth, without the particle entropy; None where it has no physics states.
+        figures: SVG by name: ``density``, ``k``, ``losses``, ``representation``, as far as there is something to draw.
+    """
+
+    id: str
+    manifest: Manifest
+    quality: Quality | None
+    figures: Mapping[str, bytes]
+
+    @property
+    def digest(self) -> str:
+        """Tells whether anything of it has changed."""
+        figures = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(self.figures.items()))
+        return hashlib.sha256("\n".join([self.manifest.model_dump_json(), repr(self.quality), *figures]).encode()).hexdigest()
+
+
+def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
+    """The datasets behind some tables, by domain, profile, method and seed."""
+    together: dict[tuple[str, str, str, int, str], list[Record]] = defaultdict(list)
+    for table in tables:
+        for record in table.records:
+            one = record.dataset
+            settings = f"{one.profile} {json.dumps(one.overrides, sort_keys=True)}"
+            together[one.domain, settings, column(record), one.seed, base_id(record) or one.id].append(record)
+    found = []
+    for key in sorted(together):
+        domain, settings, method, seed, name = key
+        records = together[key]
+        one = records[0].dataset
+        labelled = sorted({(record.dataset.task, record.dataset.id, record.dataset.fingerprint) for record in records})
+        word = file_word(
+            name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key))
+        )
+        # Ids that differ in where a slash stands, and profiles under one id, must not share a page.
+        word = f"{word[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
+        found.append(
+            Dataset(base_id(records[0]), plain(name), method, domain, seed, one.steps, one.profile, one.overrides, one.source,
+                    tuple(labelled), tuple(records), word)
+        )  # fmt: skip
+    return found
+
+
+def base_id(record: Record) -> str | None:
+    """The id of the dataset whose states a record's are: ``walker/cudc-v0`` for ``walker/walk/cudc-v0``; None if its id is none."""
+    try:
+        one = parse_id(record.dataset.id)
+    except UsageError:
+        return None
+    parts = one.namespace.split("/")
+    if len(parts) > 1 and parts[-1] == record.dataset.task:
+        return f"{'/'.join(parts[:-1])}/{one.name}-v{one.version}"
+    return str(one)

@@ -1,0 +1,1 @@
+"""What is taken in: records, those that somebody hands in, and which stored datasets a command is about."""

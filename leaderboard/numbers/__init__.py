@@ -1,0 +1,1 @@
+"""What records say: values without any drawing, the lower a module stands on others the plainer."""

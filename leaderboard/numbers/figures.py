@@ -1,0 +1,106 @@
+"""What figures show, as plain data; :func:`~..show.figures.draw.draw` knows how each kind is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING
+
+from cudc_bench.artefacts.records import Record
+
+from .grid import Entry
+from .overall import Estimate
+from .scale import References
+from .table import Runs, seed_scores
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Returns over gradient steps, a panel for each task, a line for each method."""
+
+    runs: Runs
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Mean returns at each milestone, a panel for each task, a bar for each method."""
+
+    runs: Runs
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Mean returns over the largest k, a panel for each task, a line for each milestone.
+
+    Attributes:
+        runs: the study's.
+        largest: the largest k of each method.
+    """
+
+    runs: Runs
+    largest: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Estimates with their intervals, a panel for each name, a row for each method.
+
+    Attributes:
+        title: of the whole.
+        methods: the rows.
+        panels: what to draw of them; a method may be absent from some.
+        smaller: the panel in which smaller values are better.
+        alike: whether all panels are of one quantity, and so have one axis.
+    """
+
+    title: str
+    methods: tuple[str, ...]
+    panels: Mapping[str, Mapping[str, Estimate]]
+    smaller: str | None = None
+    alike: bool = False
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Scores over dataset sizes, a panel for each task and one for their mean, a line for each method.
+
+    Attributes:
+        group, algorithm, domain: which; ``group`` on one line.
+        milestone: after so many gradient steps.
+        methods, tasks, sizes: what there is.
+        cells: result by size, task and method.
+        scores: mean score over the domain's tasks by size and method, where there is one.
+        seeds: how many there are, in words.
+        references: of the whole datasets' profile, by task; they serve every size, since neither random actions nor an agent that is
+            trained online is trained on a part of anything.
+    """
+
+    group: str
+    algorithm: str
+    domain: str
+    milestone: int
+    methods: tuple[str, ...]
+    tasks: tuple[str, ...]
+    sizes: tuple[int, ...]
+    cells: Mapping[tuple[int, str, str], Entry] = field(repr=False)
+    scores: Mapping[tuple[int, str], Entry] = field(repr=False)
+    seeds: str
+    references: References = field(default_factory=dict, repr=False)
+
+
+Figure = Curves | Bars | Bounds | Intervals | Sizes
+
+
+def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float] | None]:
+    """Steps, means and sample standard deviations over collector seeds; None for one seed.
+
+    Only steps at which every record was evaluated count, so that a mean is always over the same seeds.
+    """
+    steps = sorted(set.intersection(*({evaluation.step for evaluation in record.curve} for record in records)))
+    scores = [seed_scores(records, step) for step in steps]
+    several = len({record.dataset.seed for record in records}) > 1
+    return steps, [fmean(values) for values in scores], [stdev(values) for values in scores] if several else None

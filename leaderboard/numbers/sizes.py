@@ -1,0 +1,234 @@
+"""The study of dataset sizes: the same training on the first transitions of each dataset, and on all of them.
+
+Joined is what differs in nothing but how much of a dataset was used. The *area under the sample-efficiency curve* is that of the score (see
+:mod:`.scale`) over log10 of the number of transitions, by the trapezoidal rule between the smallest and the largest
+size, divided by the distance of these two. So it is a mean score in which a doubling of the data weighs the same wherever
+it is. Each collector seed has an area of its own; means and intervals are over those.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from cudc_bench.artefacts.records import Record
+from cudc_bench.text import plain
+
+from ..methods import METHOD_ORDER
+from .columns import column, is_own
+from .figures import Sizes
+from .grid import Column, Entry, Grid, Line, Part, with_records
+from .missing import Wanted
+from .scale import References, references_caption
+from .statistics import Floats
+from .study import SCORE, ByTask, Scales, Study, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
+from .table import ENOUGH_SEEDS, Block, build_cell, mark_best
+from .words import ordered, short, slug, span
+
+AREA_TEXT = (
+    "Area under the sample-efficiency curve: of scores over log10 of the number of transitions, by the trapezoidal rule between the"
+    " smallest and the largest size, divided by the distance of these two: a mean score in which a doubling of the data weighs the same"
+    " everywhere. Each collector seed has its own area, if it has all sizes."
+)
+
+_WHOLE = " They are those of the whole datasets' profile at every size: neither is trained on a part of a dataset."
+
+
+def area_weights(sizes: Sequence[int]) -> Floats:
+    """Weights of the scores at ascending sizes whose sum is the area under the curve; they add up to 1."""
+    x = np.log10(np.asarray(sizes, np.float64))
+    steps = np.diff(x)
+    weights = np.zeros(len(x))
+    weights[:-1] += steps / 2
+    weights[1:] += steps / 2
+    return weights / (x[-1] - x[0])
+
+
+def build_sizes(blocks: Sequence[Block]) -> list[Study]:
+    """A study for each group, algorithm and domain in which something was trained on a part of a dataset."""
+    together: dict[tuple[str, str, str], list[Block]] = defaultdict(list)
+    for block in blocks:
+        together[block.domain, block.algorithm, _first(block).group_of_all_sizes].append(block)
+    found = []
+    for (_, _, group), same in sorted(together.items()):
+        if any(_first(one).dataset.used for one in same):
+            whole = next((one.references for one in same if _first(one).dataset.used is None), {})
+            found.append(_study(group, same, whole))
+    return [study for study in found if study is not None]
+
+
+def _first(block: Block) -> Record:
+    return next(iter(block.records.values()))[0]
+
+
+# Records by size, method and task.
+_Chosen = dict[tuple[int, str], dict[str, list[Record]]]
+
+
+def _study(group: str, blocks: Sequence[Block], references: References) -> Study | None:
+    lasts = Counter(block.milestones[-1] for block in blocks)
+    milestone = max(lasts, key=lambda last: (lasts[last], last))
+    left_out = [
+        f"{plain(block.group)} is left out: {short(milestone)} steps is none of its milestones."
+        for block in blocks
+        if milestone not in block.milestones
+    ]
+    chosen = _chosen([block for block in blocks if milestone in block.milestones])
+    if not chosen:
+        return None
+    shown, scales = _shown(group, chosen, blocks[0], milestone, references)
+    returns = _returns(shown, chosen, scales)
+    tables = [returns, *scored_grid(returns, shown.tasks, shown.references)]
+    areas, lines = _areas(shown, chosen, scales)
+    if areas:
+        tables.append(areas)
+    preliminary = any(cell.n < ENOUGH_SEEDS for cell in shown.cells.values())
+    return Study(
+        name="sizes",
+        folder=slug(group, shown.algorithm, shown.domain),
+        title="Dataset size",
+        caption=f"The paper's study of sample efficiency: trained on the first so many transitions of each dataset. {shown.algorithm} on"
+        f" {shown.domain} after {short(milestone)} gradient steps. Profile: {shown.group}."
+        + (" Preliminary: fewer than five seeds." if preliminary else ""),
+        group=shown.group,
+        algorithm=shown.algorithm,
+        domain=shown.domain,
+        tables=tuple(tables),
+        figures={"curves": shown},
+        notes=(*left_out, *lines),
+        records=tuple(_records(chosen)),
+        wanted=_wanted(group, blocks, shown, chosen),
+    )
+
+
+def _chosen(blocks: Sequence[Block]) -> _Chosen:
+    """What was trained on each part of a dataset, and on the whole, of methods of which there is more than the whole."""
+    columns = [(method, one) for block in blocks for (method, _), found in block.records.items() for one in found]
+    cut = {method for method, one in columns if one.dataset.used}
+    chosen: _Chosen = defaultdict(lambda: defaultdict(list))
+    for method, one in columns:
+        if method in cut:
+            chosen[one.dataset.used or one.dataset.steps, method][one.dataset.task].append(one)
+    return chosen
+
+
+def _records(chosen: _Chosen) -> Iterator[Record]:
+    for by_task in chosen.values():
+        for found in by_task.values():
+            yield from found
+
+
+def _shown(group: str, chosen: _Chosen, first: Block, milestone: int, references: References) -> tuple[Sizes, Scales]:
+    """The returns and mean scores at each size, and by what they became scores."""
+    methods = ordered({method for _, method in chosen}, METHOD_ORDER)
+    sizes = tuple(sorted({size for size, _ in chosen}))
+    tasks = ordered({one.dataset.task for one in _records(chosen)}, known_tasks(first.domain))
+    served = {task: references[task] for task in tasks if task in references}
+    scales = scales_of(first.domain, served)
+    cells: dict[tuple[int, str, str], Entry] = {}
+    scores: dict[tuple[int, str], Entry] = {}
+    for size in sizes:
+        for task in tasks:
+            row = mark_best([build_cell(chosen[size, method][task], milestone) for method in methods])
+            cells |= {(size, task, method): cell for method, cell in zip(methods, row, strict=True) if cell}
+        for method in methods:
+            if entry := score_entry(chosen[size, method], scales, milestone):
+                scores[size, method] = entry
+    seeds = span([cell.n for cell in cells.values()] or [0], "seed")
+    return Sizes(plain(group), first.algorithm, first.domain, milestone, methods, tasks, sizes, cells, scores, seeds, served), scales
+
+
+def _returns(shown: Sizes, chosen: _Chosen, scales: Scales) -> Grid:
+    known = bool(scales.tasks)
+    parts = []
+    for size in shown.sizes:
+        lines = []
+        for method in shown.methods:
+            entries = [with_records(shown.cells.get((size, task, method)), chosen[size, method][task]) for task in shown.tasks]
+            lines.append(Line((method,), (*entries, *([shown.scores.get((size, method))] if known else []))))
+        lines += reference_lines(shown.references, shown.tasks, int(known))
+        parts.append(Part(f"{short(size)} transitions", size, tuple(lines)))
+    return Grid(
+        name="returns",
+        title="Returns by dataset size",
+        caption=f"Returns of {shown.algorithm} after {short(shown.milestone)} gradient steps on the first so many transitions. Mean and"
+        " sample standard deviation over collector seeds, whose number is in brackets. Bold in each task: the largest mean and those that"
+        f" are not significantly worse (Welch, Holm, as in the main table).{f' {scales.text}' if known else ''}"
+        f"{references_caption(shown.references, shown.tasks)}{_WHOLE if shown.references else ''}",
+        split="transitions",
+        head=("method",),
+        columns=(*map(Column, shown.tasks), *([Column(SCORE, 3)] if known else [])),
+        parts=tuple(parts),
+    )
+
+
+def _areas(shown: Sizes, chosen: _Chosen, scales: Scales) -> tuple[Grid | None, list[str]]:
+    known = known_tasks(shown.domain)
+    having = {method: tuple(size for size in shown.sizes if any(chosen[size, method].values())) for method in shown.methods}
+    # The sizes that most methods have, so that one that lacks some, or has others, takes nothing from the rest.
+    counts = Counter(having.values())
+    sizes = max(counts, key=lambda one: (counts[one], len(one), one))
+    if not known or len(sizes) < 2:
+        return None, []
+    weights = area_weights(sizes)
+    notes, lines = [], []
+    for method in shown.methods:
+        lacking = [short(size) for size in sizes if size not in having[method]]
+        if lacking:
+            notes.append(f"{method} has no area under the curve: it lacks {', '.join(lacking)} transitions.")
+            continue
+        entries = []
+        for tasks in (*((task,) for task in shown.tasks), known):
+            entries.append(_area(shown, [chosen[size, method] for size in sizes], tasks, scales, weights))
+        lines.append(Line((method,), tuple(entries)))
+    heading = f"{short(sizes[0])} to {short(sizes[-1])} transitions ({len(sizes)} sizes)"
+    caption = f"{AREA_TEXT} Mean over seeds. {scales.text}"
+    columns = (*map(partial(Column, digits=3), shown.tasks), Column(SCORE, 3))
+    part = Part(heading, f"{sizes[0]}-{sizes[-1]}", tuple(lines))
+    return Grid("area", "Area under the sample-efficiency curve", caption, "transitions", ("method",), columns, (part,)), notes
+
+
+def _area(shown: Sizes, records: Sequence[ByTask], tasks: Sequence[str], scales: Scales, weights: Floats) -> Entry | None:
+    """The mean of the seeds' areas over some tasks, over seeds that have all sizes and tasks."""
+    if not set(tasks) <= set(scales.tasks):
+        return None
+    found = [score_matrix(one, tasks, shown.milestone) for one in records]
+    seeds = sorted(set.intersection(*(set(seeds) for seeds, _ in found)))
+    if not seeds:
+        return None
+    returns = np.stack([returns[[having.index(seed) for seed in seeds]] for having, returns in found])
+    areas = np.tensordot(weights, scales.scores(returns, tasks), 1)
+    return scales.mean_entry(areas, tasks, tuple(record for one in records for record in of_seeds(one, tasks, seeds)))
+
+
+def _wanted(group: str, blocks: Sequence[Block], shown: Sizes, chosen: _Chosen) -> tuple[Wanted, ...]:
+    """Every size that some method has, for every method with the seeds that were trained on a part of a dataset."""
+    own = [one for one in _records(chosen) if is_own(one)]
+    if not own:
+        return ()
+    seeds = tuple(sorted({one.dataset.seed for one in own if one.dataset.used}))
+    collected = {column(one) for one in own}
+    tasks = shown.tasks if own[0].dataset.reward is not None else ordered({*known_tasks(shown.domain), *shown.tasks}, shown.tasks)
+    whole = {one.dataset.steps for one in own}
+    groups = {_first(block).dataset.used: block.group for block in blocks}
+
+    def wanted(size: int, method: str) -> Wanted:
+        used = None if size in whole else size
+        return Wanted(
+            study="sizes",
+            group=groups.get(used, group),
+            algorithm=shown.algorithm,
+            domain=shown.domain,
+            method=method,
+            tasks=tasks,
+            seeds=seeds,
+            used=used,
+            have=frozenset((task, one.dataset.seed) for task, found in chosen[size, method].items() for one in found),
+            like=own[0],
+        )
+
+    sizes = sorted({one.dataset.used or one.dataset.steps for one in own})
+    return tuple(wanted(size, method) for size in sizes for method in shown.methods if method in collected)

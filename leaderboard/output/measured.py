@@ -1,0 +1,211 @@
+"""Datasets of records that are on this machine, measured once: what was measured is kept beside the site's pages."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.data.descriptors import DescriptorCoverage
+from cudc_bench.envs import check_domain
+from cudc_bench.errors import CudcBenchError, UsageError
+from cudc_bench.execution.parallel import computed
+from cudc_bench.text import plain
+
+from ..datasets.behind import Dataset, Local
+from ..datasets.diagnostics import Run, compare, diagnostics_path, read_diagnostics
+from ..datasets.quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
+from ..show.figures.diagnostics import diagnostic_files
+from ..show.figures.drawing import figure_files
+from ..show.figures.quality import draw_density
+from .files import write_files
+
+FOLDER = "datasets"  # in the output, of these pages and of what they show
+MEASURES = "measures.json"  # in that folder: what was measured, by fingerprint, so that it is measured once
+
+
+class _Density(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    mean: float
+    quantiles: Annotated[tuple[float, ...], Field(min_length=len(QUANTILES), max_length=len(QUANTILES))]
+    best: float
+    top: float
+    above_half: float
+    above_nine: float
+    density: Annotated[tuple[float, ...], Field(min_length=BINS, max_length=BINS)]
+
+
+class _Measures(BaseModel):
+    """What is kept of a dataset: numbers, and the digests of figures that lie beside this file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    code: str  # the version of this project that measured
+    diagnostics: str  # SHA-256 of the diagnostics that figures were drawn from; empty without any
+    rewards: dict[str, _Density] | None
+    coverage: tuple[int, float] | None
+    action_std: tuple[float, ...]
+    action_saturated: float
+    action_correlation: float | None
+    figures: dict[str, str]
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    measures: dict[str, _Measures] = {}
+
+
+def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Local], list[str]]:
+    """Those of some datasets that are on this machine, by their ``word``, measured; and a line for each that could not be.
+
+    What was measured is kept in ``<output>/datasets/measures.json`` by fingerprint, so that only new datasets take time (seconds each).
+    """
+    folder = output / FOLDER
+    present, remarks = [], []
+    for dataset in datasets:
+        try:
+            if (found := _present(dataset)) is not None:
+                present.append((dataset, *found))
+        except CudcBenchError as error:
+            remarks.append(plain(str(error)))
+        except OSError as error:
+            remarks.append(plain(f"cannot look for the dataset {dataset.name}: {error.strerror}."))
+    if not present:
+        return {}, remarks
+    kept = _read(folder / MEASURES)
+    fresh = {one: kept[manifest.fingerprint] for _, one, manifest in present if _is_fresh(kept.get(manifest.fingerprint), one)}
+    todo = list({one: manifest for _, one, manifest in present if one not in fresh}.items())
+    measured: dict[str, tuple[Quality | None, dict[str, bytes]]] = {}
+    looks = [partial(_look, one, manifest) for one, manifest in todo]
+    for (one, _), result in zip(todo, computed(looks, "measuring datasets", "datasets", few=1), strict=True):
+        if isinstance(result, str):
+            remarks.append(result)
+        else:
+            measured[one] = result
+    locals_: dict[str, Local] = {}
+    for dataset, one, manifest in present:
+        if one in fresh:
+            old = fresh[one]
+            figures = {name: _kept_figure(folder / f"{dataset.word}.{name}.svg", digest) for name, digest in old.figures.items()}
+            whole = {name: content for name, content in figures.items() if content is not None}
+            quality = _quality(one, manifest, old)
+            if len(whole) < len(figures):
+                whole = _draw(one, manifest, quality)
+        elif one in measured:
+            quality, whole = measured[one]
+        else:
+            continue
+        locals_[dataset.word] = Local(one, manifest, quality, whole)
+        kept[manifest.fingerprint] = _measures(quality, _digest(one), whole)
+    text = _Kept(measures=dict(sorted(kept.items()))).model_dump_json(indent=1)
+    write_files(folder, {MEASURES: f"{text}\n"})
+    return locals_, remarks
+
+
+def _look(one: str, manifest: Manifest) -> tuple[Quality | None, dict[str, bytes]] | str:
+    """A dataset's measures and figures, or why it has none."""
+    try:
+        has_states = "infos/physics" in manifest.fields
+        quality = measure(one, manifest, check_domain(manifest.domain), lambda states: None)[0] if has_states else None
+        return quality, dict(_draw(one, manifest, quality))
+    except CudcBenchError as error:
+        return plain(str(error))
+
+
+def _present(dataset: Dataset) -> tuple[str, Manifest] | None:
+    """The collected dataset's id and manifest, if a labelled one is here with the records' fingerprint and its base is the right one."""
+    for _, one, fingerprint in dataset.labelled:
+        try:
+            if not exists(one):
+                continue
+            manifest = read_manifest(one)
+        except UsageError:
+            continue  # no id, or somebody else's dataset
+        if manifest.fingerprint != fingerprint:
+            continue
+        if manifest.base is None:
+            return one, manifest
+        try:
+            base = read_manifest(manifest.base.id)
+        except UsageError:
+            continue
+        if base.fingerprint == manifest.base.fingerprint:
+            return manifest.base.id, base
+    return None
+
+
+def _read(path: Path) -> dict[str, _Measures]:
+    try:
+        return dict(_Kept.model_validate_json(path.read_bytes()).measures)
+    except (OSError, ValidationError):
+        return {}  # Measured again.
+
+
+def _is_fresh(measures: _Measures | None, dataset_id: str) -> bool:
+    return measures is not None and measures.code == version("cudc-bench") and measures.diagnostics == _digest(dataset_id)
+
+
+def _digest(dataset_id: str) -> str:
+    try:
+        return hashlib.sha256(diagnostics_path(dataset_id).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _kept_figure(path: Path, digest: str) -> bytes | None:
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    return content if hashlib.sha256(content).hexdigest() == digest else None
+
+
+def _measures(quality: Quality | None, diagnostics: str, figures: Mapping[str, bytes]) -> _Measures:
+    coverage = None if quality is None or quality.coverage is None else quality.coverage
+    return _Measures(
+        code=version("cudc-bench"),
+        diagnostics=diagnostics,
+        rewards=None if quality is None else {task: _Density(**vars(one)) for task, one in quality.rewards.items()},
+        coverage=None if coverage is None else (coverage.coverage_cells, coverage.coverage_entropy),
+        action_std=() if quality is None else quality.action_std,
+        action_saturated=0.0 if quality is None else quality.action_saturated,
+        action_correlation=None if quality is None else quality.action_correlation,
+        figures={name: hashlib.sha256(content).hexdigest() for name, content in sorted(figures.items())},
+    )
+
+
+def _quality(dataset_id: str, manifest: Manifest, old: _Measures) -> Quality | None:
+    if old.rewards is None:
+        return None
+    return Quality(
+        id=dataset_id,
+        manifest=manifest,
+        rewards={task: RewardDensity(**one.model_dump()) for task, one in old.rewards.items()},
+        coverage=None if old.coverage is None else DescriptorCoverage(*old.coverage),
+        particle_entropy=None,
+        action_std=old.action_std,
+        action_saturated=old.action_saturated,
+        action_correlation=old.action_correlation,
+    )
+
+
+def _draw(dataset_id: str, manifest: Manifest, quality: Quality | None) -> dict[str, bytes]:
+    files: dict[str, bytes] = {}
+    if quality is not None and quality.rewards:
+        tasks = tuple(quality.rewards)
+        table = QualityTable(plain(manifest.profile), plain(manifest.domain), tasks, "", (manifest.label,), (quality,))
+        files |= figure_files("density", lambda: draw_density(table))
+    try:
+        (comparison,), _ = compare([Run(dataset_id, manifest, *read_diagnostics(dataset_id))])
+        files |= diagnostic_files(comparison)
+    except CudcBenchError:
+        pass  # Imported data have no diagnostics, and damaged ones are no reason to leave the rest out.
+    return {name.removesuffix(".svg"): content for name, content in files.items() if name.endswith(".svg")}

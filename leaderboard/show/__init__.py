@@ -1,0 +1,1 @@
+"""Numbers as Markdown, LaTeX, CSV, in a terminal, and as figures."""

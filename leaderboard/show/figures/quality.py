@@ -1,0 +1,49 @@
+"""Tables and figures of datasets' quality. Text from manifests is escaped in each of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cudc_bench.text import plain
+
+from ...datasets.quality import BINS, QualityTable
+from ...methods import looks
+from .drawing import framed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+_COLUMNS = 4
+
+
+def draw_density(table: QualityTable) -> Figure:
+    """The density of the rewards of single steps, a panel for each task, a line for each method: the mean over its datasets.
+
+    The vertical axis is logarithmic: most steps of most datasets are worth close to nothing, and what matters is how many are not.
+    """
+    from matplotlib.ticker import FuncFormatter
+
+    edges = np.linspace(0.0, 1.0, BINS + 1)
+    shown = {plain(method): look for method, look in looks(table.methods).items()}
+    counts = sorted({len(table.of(method)) for method in table.methods})
+    seeds = f"{counts[0]} dataset{'s' if counts[-1] > 1 else ''}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} datasets"
+    title = f"Density of rewards in {table.domain}, profile {table.group}: mean over {seeds} of a method"
+    figure, panels = framed(title, shown, len(table.tasks), _COLUMNS, sharey=True, height=2.3)
+    lowest = 1.0
+    for index, (panel, task) in enumerate(zip(panels, table.tasks, strict=True)):
+        for method, look in zip(table.methods, shown.values(), strict=True):
+            density = np.mean([one.rewards[task].density for one in table.of(method)], axis=0)
+            lowest = min(lowest, *density[density > 0])
+            panel.stairs(np.where(density > 0, density, np.nan), edges, linewidth=1.2, baseline=None, **look)
+        panel.set_title(task)
+        panel.set_xlabel("reward of a step")
+        panel.set_xlim(0, 1)
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        if index % _COLUMNS == 0:
+            panel.set_ylabel("density")
+    panels[0].set_ylim(bottom=max(lowest / 2, 1e-5))
+    return figure

@@ -1,0 +1,202 @@
+"""Tables for a terminal; ``rich`` objects throughout, so that nothing in a record is taken for markup."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cudc_bench.text import plain
+
+from ..datasets.diagnostics import Comparison
+from ..datasets.quality import Quality, QualityTable
+from ..numbers.grid import Column, Entry, number
+from ..numbers.overall import LEAD, PRELIMINARY, Overall
+from ..numbers.study import Study
+from ..numbers.table import Table
+from .text import bracketed, chance, text
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+_NARROW = 2  # digits behind the point of a study's numbers, at most
+_SIDE_BY_SIDE = 6
+REPRESENTATION_COLUMNS = {"error_over_persistence": "error", "effective_rank": "rank", "state_spread": "spread"}
+
+
+def of_table(table: Table) -> Group:
+    """Title, table and caption.
+
+    Tasks are the rows as in the files, but methods are where there are too many of them to stand side by side in 80 columns.
+    """
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown.add_column("")
+    turned = len(table.headings) > _SIDE_BY_SIDE
+    for name in table.tasks if turned else table.headings:
+        shown.add_column(Text(name), justify="right")
+
+    def block(title: str, tasks: Sequence[str], rows: Sequence[Sequence[tuple[str, bool]]]) -> None:
+        shown.add_row(Text(title, style="bold"))
+        cells = [[Text(cell, style="bold" if best else "") for cell, best in row] for row in rows]
+        for name, line in zip(table.headings if turned else tasks, zip(*cells, strict=True) if turned else cells, strict=True):
+            shown.add_row(Text(name), *line)
+        shown.add_section()
+
+    for part in table.grid.parts:
+        rows, scores = [], []
+        for line in part.lines:
+            bounds = table.references.get(line.labels[0])
+            marks = [bool(entry and entry.best) for entry in line.entries]
+            ends = [(str(round(end)) if bounds else "–", False) for end in ((bounds.floor, bounds.ceiling) if bounds else (0.0, 0.0))]
+            texts = [(text(entry, Column(""), "±"), best) for entry, best in zip(line.entries, marks, strict=True)]
+            rows.append([ends[0], *texts, ends[1]] if table.references else texts)
+            scored = [entry.scored(bounds) if entry and bounds else None for entry in line.entries]
+            between = [(text(entry and replace(entry, n=0), Column("", 2), "±"), best) for entry, best in zip(scored, marks, strict=True)]
+            scores.append([("0", False), *between, ("1", False)] if bounds else [("–", False)] * len(table.headings))
+        block(part.title, table.tasks, rows)
+        if table.references:
+            block(f"{part.title}, scores", table.tasks, scores)
+    title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
+    return Group(title, shown, Text(table.caption, style="dim"))
+
+
+def of_study(study: Study) -> Group:
+    """Title, tables and notes."""
+    from rich import box
+    from rich.console import Group, RenderableType
+    from rich.table import Table
+    from rich.text import Text
+
+    parts: list[RenderableType] = [Text(study.heading, style="bold")]
+    for grid in study.tables:
+        if grid.long:
+            parts.append(Text(f"{grid.title}: {study.folder}/{study.name}-{grid.name}.csv, {study.name}.md"))
+            continue
+        shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+        for name in ("", *grid.head[1:]):
+            shown.add_column(name)
+        for column in grid.columns:
+            shown.add_column(Text(column.name), justify="right")
+        for part in grid.parts:
+            shown.add_row(Text(part.title, style="bold"))
+            for line in part.lines:
+                cells = [
+                    Text(_narrow(entry, column), style="bold" if entry and entry.best else "")
+                    for column, entry in zip(grid.columns, line.entries, strict=True)
+                ]
+                shown.add_row(*map(Text, line.labels), *cells)
+            shown.add_section()
+        parts += [Text(grid.title), shown]
+    parts.append(Text("\n".join([study.caption, *(f"Note: {note}" for note in study.notes)]), style="dim"))
+    return Group(*parts)
+
+
+def of_overall(overall: Overall) -> Group:
+    """The headline comparison, the mean with its interval first."""
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    comparison = overall.headline
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown.add_column("")
+    for name in ("mean", "95 % interval", "IQM", "median", "gap", "P(rank 1)", "seeds"):
+        shown.add_column(name, justify="right")
+    for standing in comparison.standings:
+        headline = standing.estimates[LEAD]
+        rest = [f"{standing.estimates[name].value:.3f}" for name in ("iqm", "median", "optimality_gap")]
+        first = "–" if standing.ranks is None else f"{standing.ranks[0]:.2f}"
+        row = (standing.method, f"{headline.value:.3f}", bracketed(headline.interval) or "–", *rest, first, standing.seeds_text)
+        shown.add_row(*map(Text, row))
+    wins = [f"{pair.method} over {pair.other} ({chance(pair)})" for pair in comparison.pairs if pair.better]
+    lines = [
+        f"Scores: {comparison.unit}. IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
+        f"Improvements (interval above 0.5, Holm's p < 0.05): {len(wins)}{f', such as {wins[-1]}' if wins else ''}.",
+        *comparison.remarks,
+        *([overall.power_text] if overall.power_text else []),
+        *([PRELIMINARY] if comparison.preliminary else []),
+        *(f"Left out: {line}" for line in comparison.left_out),
+    ]
+    title = Text(f"Overall: {overall.algorithm}, profile {overall.group}: {comparison.title}", style="bold")
+    return Group(title, shown, Text("\n".join(lines), style="dim"))
+
+
+def of_diagnostics(comparison: Comparison) -> Group:
+    """A line for each dataset, with k at the end, when it grew, whether that is suspect, and the last coverage.
+
+    Where some have a representation, also its last forward error over persistence, effective rank and spread.
+    """
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    measured = REPRESENTATION_COLUMNS if comparison.having(REPRESENTATION_COLUMNS) else {}
+    for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy", *measured.values()):
+        shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
+    for run in comparison.runs:
+        cells, entropy = run.last("coverage_cells"), run.last("coverage_entropy")
+        row = (
+            plain(run.manifest.method), str(run.manifest.seed), f"{run.manifest.steps:,}", "" if run.k is None else f"{run.k:g}",
+            "\n".join(map(str, run.schedule.growth)),
+            # Only methods whose k can grow tell whether its schedule is suspect.
+            {True: "yes", False: "no", None: ""}[run.schedule.suspect],
+            "" if cells is None else f"{cells:,.0f}", "" if entropy is None else f"{entropy:.2f}",
+            *("" if (value := run.last(name)) is None else f"{value:.3g}" for name in measured),
+        )  # fmt: skip
+        shown.add_row(*(Text(cell or "–") for cell in row))
+    return Group(Text(f"{comparison.domain}, profile {comparison.group}", style="bold"), shown)
+
+
+def of_quality(table: QualityTable) -> Group:
+    """A line for each dataset."""
+    from rich import box
+    from rich.console import Group
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    for index, name in enumerate(
+        (
+            "method",
+            "seed",
+            *(task.replace("_", "\n") for task in table.tasks),
+            "visited\ncells",
+            "visits\n(nats)",
+            "states\n(nats)",
+            "|a|\n>0.95",
+            "a·a'",
+        )
+    ):
+        shown.add_column(name, justify="left" if index == 0 else "right")
+    for one in table.datasets:
+        shown.add_row(*(Text(cell) for cell in (plain(one.manifest.label), str(one.manifest.seed), *_rewards(one), *_spread(one))))
+    title = Text(f"{table.domain}, profile {table.group}: mean reward per step of each task, and how far the data spread", style="bold")
+    return Group(title, shown)
+
+
+def _rewards(one: Quality) -> list[str]:
+    return [f"{found.mean:.3f}" for found in one.rewards.values()]
+
+
+def _spread(one: Quality) -> list[str]:
+    coverage = ["–", "–"] if one.coverage is None else [f"{one.coverage.coverage_cells:,}", f"{one.coverage.coverage_entropy:.2f}"]
+    particle = "–" if one.particle_entropy is None else f"{one.particle_entropy:.2f}"
+    correlation = "–" if one.action_correlation is None else f"{one.action_correlation:.2f}"
+    return [*coverage, particle, f"{one.action_saturated:.1%}", correlation]
+
+
+def _narrow(entry: Entry | None, column: Column) -> str:
+    """The same in fewer letters; an interval stands below its value, and how many seeds it is of in files."""
+    short = Column(column.name, None if column.digits is None else min(column.digits, _NARROW), column.signed)
+    if entry is None or not entry.interval:
+        return text(entry, short, "±")
+    low, high = number(entry.interval.low, short), number(entry.interval.high, short)
+    return f"{number(entry.value, short)}\n{low} to {high}"

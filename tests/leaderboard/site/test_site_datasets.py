@@ -1,0 +1,136 @@
+"""Datasets behind a leaderboard: which records share one, which are here, and what is measured of these, once."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import cudc_bench
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.leaderboard.api import make_leaderboard
+from cudc_bench.leaderboard.datasets.behind import base_id, datasets_of
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.output import measured as site_datasets
+from cudc_bench.leaderboard.output.measured import find_local
+
+
+def of(*records):
+    return datasets_of(build_tables(records)[0])
+
+
+@pytest.fixture
+def local(smoke, make_record):
+    """Records of the collected dataset's tasks walk and run."""
+
+    def records(**changes):
+        return [
+            make_record(task=task, dataset_id=f"walker/{task}/cudc-v0", dataset_profile="smoke", profile="smoke",
+                        dataset_fingerprint=read_manifest(f"walker/{task}/cudc-v0").fingerprint, **changes)
+            for task in ("walk", "run")
+        ]  # fmt: skip
+
+    return records
+
+
+@pytest.mark.parametrize(
+    ("one", "base"),
+    [("walker/walk/cudc-v0", "walker/cudc-v0"), ("dm_control/cheetah_run/walk/cudc-v0", "dm_control/cheetah_run/cudc-v0"),
+     ("walker/mine-v3", "walker/mine-v3"), ("walk/mine-v3", None), ("../walk/x-v0", None), ("", None)],
+)  # fmt: skip
+def test_the_collected_dataset_of_a_labelled_one(make_record, one, base):
+    # A namespace that is the task alone leaves none for the base: the dataset is its own.
+    assert base_id(make_record(task="walk", dataset_id=one)) == (base if one != "walk/mine-v3" else one)
+
+
+def test_tasks_and_algorithms_share_a_dataset_and_settings_do_not(make_record):
+    same = [make_record(task=task, algorithm=algorithm) for task in ("walk", "run") for algorithm in ("td3", "cql")]
+    others = [make_record(seed=2), make_record(dataset_overrides={"steps": 5}), make_record(dataset_profile="demo", profile="demo")]
+    found = of(*same, *others)
+    assert sorted(len(one.records) for one in found) == [1, 1, 1, 4]
+    assert len({one.word for one in found}) == 4
+    (shared,) = [one for one in found if len(one.records) == 4]
+    assert [(task, one) for task, one, _ in shared.labelled] == [("run", "walker/run/cudc-seed1-v0"), ("walk", "walker/walk/cudc-seed1-v0")]
+
+
+def test_commands_make_it_again_under_its_own_name(make_record):
+    (plain,) = of(make_record(dataset_id="walker/walk/cudc-v0"))
+    assert plain.commands[0] == ("Collect it", "cudc-bench collect --domain walker --method cudc --seed 1 --profile cpu")
+    (named,) = of(make_record(dataset_id="walker/walk/mine-v7", dataset_overrides={"k": [1, 2], "note": "$(reboot); <b>"}))
+    collect, label = (command for _, command in named.commands)
+    assert "--dataset-id walker/mine-v7" in collect
+    assert label == "cudc-bench relabel walker/mine-v7"
+    assert all(is_own_command(command) for command in (collect, label))
+    assert of(make_record(dataset_id="; reboot"))[0].commands == []
+
+
+def test_a_dataset_that_is_here_is_measured(local, tmp_path):
+    (dataset,) = of(*local())
+    found, remarks = find_local([dataset], tmp_path)
+    assert remarks == []
+    one = found[dataset.word]
+    assert (one.id, one.manifest) == ("walker/cudc-v0", read_manifest("walker/cudc-v0"))
+    # Episodes are equally long, so that the mean over trajectories is that over steps; rewards were computed when it was labelled.
+    for task in ("stand", "walk", "run", "flip"):
+        expected = cudc_bench.load_transitions(f"walker/{task}/cudc-v0").rewards.mean()
+        assert one.quality.rewards[task].mean == pytest.approx(expected, rel=1e-5)
+    assert one.quality.coverage.coverage_cells == cudc_bench.coverage("walker/cudc-v0").coverage_cells
+    assert set(one.figures) == {"density", "k", "losses", "representation"}
+
+
+def test_what_was_measured_is_kept_until_something_changes(local, tmp_path, monkeypatch):
+    (dataset,) = of(*local())
+    output = tmp_path / "report"
+    first, _ = find_local([dataset], output)
+    site_datasets.write_files(output / "datasets", {f"{dataset.word}.{name}.svg": svg for name, svg in first[dataset.word].figures.items()})
+    kept = (output / "datasets" / "measures.json").read_bytes()
+    calls = []
+    measure = site_datasets.measure
+    monkeypatch.setattr(site_datasets, "measure", lambda *a: calls.append("measured") or measure(*a))
+    monkeypatch.setattr(site_datasets, "_draw", lambda *a: calls.append("drawn") or first[dataset.word].figures)
+    again, _ = find_local([dataset], output)
+    assert calls == []
+    assert again == first
+    assert (output / "datasets" / "measures.json").read_bytes() == kept
+    # A figure that somebody changed is drawn again, a damaged file of measures is made again.
+    (output / "datasets" / f"{dataset.word}.k.svg").write_text("<svg/>")
+    assert find_local([dataset], output)[0][dataset.word].figures == first[dataset.word].figures
+    assert calls == ["drawn"]
+    (output / "datasets" / "measures.json").write_text('{"measures": {"x": 1}}')
+    assert find_local([dataset], output)[0][dataset.word].figures == first[dataset.word].figures
+    assert calls == ["drawn", "measured", "drawn"]
+
+
+@pytest.mark.parametrize("changed", [{"dataset_fingerprint": "b" * 64}, {"dataset_id": "walker/walk/gone-v0"}, {"dataset_id": "../../x"}])
+def test_only_the_very_data_of_the_records_are_measured(smoke, make_record, tmp_path, changed):
+    fingerprint = read_manifest("walker/walk/cudc-v0").fingerprint
+    here = {"dataset_id": "walker/walk/cudc-v0", "dataset_fingerprint": fingerprint}
+    assert find_local(of(make_record(**here | changed)), tmp_path) == ({}, [])
+
+
+def test_a_damaged_dataset_is_a_line_and_stops_nothing(local, smoke, tmp_path):
+    path = smoke / "walker" / "cudc-v0" / "data" / "main_data.hdf5"
+    path.write_bytes(path.read_bytes()[:5000])
+    found, remarks = find_local(of(*local()), tmp_path)
+    assert found == {}
+    assert len(remarks) == 1
+    assert "walker/cudc-v0" in remarks[0]
+
+
+def test_its_page_shows_what_was_measured(local, save, tmp_path):
+    output = tmp_path / "report"
+    report = make_leaderboard(save(*local()), output)
+    (dataset,) = datasets_of(report.tables)
+    page = (output / "datasets" / f"{dataset.word}.html").read_text()
+    for name in ("density", "k", "losses"):
+        assert f'src="{dataset.word}.{name}.svg"' in page
+        assert (output / "datasets" / f"{dataset.word}.{name}.svg") in report.files
+    assert "was not measured" not in page
+    manifest = read_manifest("walker/cudc-v0")
+    assert manifest.created in page
+    measures = json.loads((output / "datasets" / "measures.json").read_text())["measures"]
+    assert set(measures) == {manifest.fingerprint}
+    assert str(tmp_path) not in page
+    before = {file: file.read_bytes() for file in report.files}
+    assert {file: file.read_bytes() for file in make_leaderboard(tmp_path / "results", output).files} == before
