@@ -39,7 +39,7 @@ class Block:
     Attributes:
         group, algorithm, domain: as of its records; ``group`` is not yet fit for showing.
         milestones: gradient steps, ascending.
-        records: those of each method (see :func:`~.load.column`) on each task.
+        records: those of each method (see :func:`~.columns.column`) on each task.
         references: what may serve them, by task (see :func:`~.scale.serving`).
     """
 
@@ -257,7 +257,7 @@ def tables_of(blocks: Iterable[Block], studies: bool = False) -> list[Table]:
 
 
 def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
-    """Records of each method (see :func:`~.load.column`) on each task."""
+    """Records of each method (see :func:`~.columns.column`) on each task."""
     found: dict[tuple[str, str], list[Record]] = defaultdict(list)
     for record in records:
         found[column(record), record.dataset.task].append(record)

@@ -31,6 +31,7 @@ from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_i
 from cudc_bench.leaderboard.show.figures.draw import draw
 from cudc_bench.leaderboard.show.figures.runs import draw_task
 from cudc_bench.leaderboard.show.latex import of_paper as paper_to_latex
+from cudc_bench.leaderboard.show.latex import of_study as grid_to_latex
 from cudc_bench.leaderboard.show.latex import of_table as to_latex
 from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
 from cudc_bench.leaderboard.show.markdown import of_paper as paper_to_markdown
@@ -275,6 +276,13 @@ def test_sizes_are_measured_by_the_whole_datasets_profile_and_say_so(runs: Calla
     # Of parts alone it is not known what the whole would be measured by.
     parts = [one for one in records if one.dataset.used]
     assert "floor (random actions)" not in grid_to_markdown(studies_of(parts, WALKER)["sizes"])
+
+
+def test_a_score_below_the_floor_is_a_number_in_latex(runs: Callable) -> None:
+    records = [*runs("cudc-no-pe", 0.05), *runs("cudc")]
+    for text in (grid_to_latex(studies_of(records, WALKER)["ablation"]), to_latex(table_of(runs("cudc", 0.05), WALKER))):
+        assert r"& -0.06 $\pm$ 0.02 (5)" in text
+        assert "$-0.06 $" not in text
 
 
 def test_learners_say_what_their_scores_are(runs: Callable) -> None:
