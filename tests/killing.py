@@ -276,8 +276,8 @@ def run(what: str, kills: int, base: Path, seed: int = 0) -> dict[str, Any]:
         shutil.rmtree(needed / "datasets" / "walker" / "walk")
     killer = Killer(what, base / what / "work", needed, seed)
     moments = [moment for moment in CALLS if killer.calls[moment]]
-    # Every kind of call once, then as it comes, half of them by time.
-    plan = [*moments, *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
+    # Every kind of moment once, then as it comes, half of them by time.
+    plan = [*moments, "time", *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
     for moment in plan[:kills]:
         before = killer.killed.total()
         while killer.killed.total() == before:
