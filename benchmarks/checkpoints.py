@@ -10,9 +10,9 @@ from typing import Any
 
 from benchmarks.measure import Row
 from cudc_bench import plugins
-from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.running.journal import DatasetSink
 from cudc_bench.collectors.running.loop import _Run as Collection
-from cudc_bench.collectors.running.setting import settle
+from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.envs import check_domain
 from cudc_bench.evaluators.contract import batch_for
 from cudc_bench.execution import CHECKPOINT_EVERY
@@ -34,11 +34,11 @@ def run() -> Iterator[Row]:
 
 def _collect(profile: str, folder: Path) -> Row:
     # A few updates fill the optimisers; more would change no size.
-    setting = settle("cudc", "walker", PROFILES[profile], {"update_every": 8_000})
-    collector = setting.kind(setting.space, setting.config, [1])
+    setting = resolve("cudc", "walker", PROFILES[profile], {"update_every": 8_000})
+    collector = setting.kind(setting.sizes, setting.config, [1])
     folder.mkdir()
     with open_log(None) as log:
-        run = Collection(collector, setting.loop, check_domain("walker"), [Journal(folder, log)], None)
+        run = Collection(collector, setting.loop, check_domain("walker"), [DatasetSink(folder, log)], None)
         while run.steps < STEPS:
             run.step()
         return _row(f"collecting with CUDC, {profile}", folder, run.state)

@@ -12,7 +12,7 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.learning.cuda_graphs import Updates, graphs_for
+from cudc_bench.learning.cuda_graphs import Updater, graphs_for
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 
@@ -54,7 +54,7 @@ def _milliseconds(learner: Any, graphed: bool, updates: int = 300) -> float:
             horizon = torch.ones(len(seeds), dtype=torch.int64, device="cuda")
         return data.sample(learner.config.batch_size, horizon, measure)
 
-    update = Updates(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
+    update = Updater(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
     for _ in range(20):
         update(False)
     torch.cuda.synchronize()

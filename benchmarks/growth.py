@@ -14,7 +14,7 @@ from benchmarks.measure import Row, fastest_interleaved
 from benchmarks.updates import SPACE
 from cudc_bench import plugins
 from cudc_bench.collectors.contract import batch_for
-from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.running.journal import DatasetSink
 from cudc_bench.execution.parallel import cores
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.learning.networks import MemberRandom
@@ -62,7 +62,7 @@ def _collected() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder, open_log(None) as log:
         for steps in COLLECTED:
             data = Episodes(1, 1100, 1_100_000, 24, 6, MemberRandom([1], "replay"))
-            journal = Journal(_made(Path(folder) / str(steps)), log)
+            journal = DatasetSink(_made(Path(folder) / str(steps)), log)
             for seed in range(steps // 1000):
                 data.add(0, observations, actions)
                 journal.add_episode(seed, *arrays)

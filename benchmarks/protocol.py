@@ -119,11 +119,11 @@ def _measured(command: Sequence[str], environment: dict[str, str], folder: Path)
         command, env=environment, cwd=folder, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     most = [0]
-    watcher = threading.Thread(target=_watch, args=(process, most))
-    watcher.start()
+    callback = threading.Thread(target=_watch, args=(process, most))
+    callback.start()
     _, said = process.communicate()
     seconds = time.perf_counter() - start
-    watcher.join()
+    callback.join()
     if process.returncode:
         raise RuntimeError(said.decode())
     return seconds, most[0] / 2**20

@@ -12,13 +12,13 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.measure import Row, fastest, fastest_interleaved
 from cudc_bench import plugins
 from cudc_bench.collectors import variants
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
 from cudc_bench.evaluators.base import Evaluator
 from cudc_bench.execution.parallel import cores
 from cudc_bench.learning.replay import Batch
 
-SPACE = Space("walker", 24, 6, 1000, 4000, 2)
+SPACE = Sizes("walker", 24, 6, 1000, 4000, 2)
 SIZE = 1024
 
 

@@ -12,10 +12,10 @@ import torch
 
 from benchmarks.measure import Row, fastest
 from cudc_bench import plugins
-from cudc_bench.collectors.base import Space
-from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.base import Sizes
+from cudc_bench.collectors.running.journal import DatasetSink
 from cudc_bench.collectors.running.loop import _Run as Collection
-from cudc_bench.collectors.running.setting import settle
+from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.envs import DOMAINS, check_domain
 from cudc_bench.evaluators.contract import random_walker_data
 from cudc_bench.evaluators.running.loop import Arena, run_evaluation
@@ -43,7 +43,7 @@ def run() -> Iterator[Row]:
 def _acting() -> Row:
     torch.set_num_threads(1)
     kind = plugins.load("collectors", "cudc")
-    agent = kind(Space("walker", 24, 6, 1000, 4000, 2), kind.configure("walker", {"width": 256, "batch_size": 128}), [1])
+    agent = kind(Sizes("walker", 24, 6, 1000, 4000, 2), kind.configure("walker", {"width": 256, "batch_size": 128}), [1])
     observation = torch.rand(1, 24)
 
     def many() -> None:
@@ -57,12 +57,12 @@ def _acting() -> Row:
 
 
 def _collection(profile: str, folder: Path) -> Row:
-    setting = settle("cudc", "walker", PROFILES[profile])
-    collector = setting.kind(setting.space, setting.config, [1])
+    setting = resolve("cudc", "walker", PROFILES[profile])
+    collector = setting.kind(setting.sizes, setting.config, [1])
     spent = {"learn": 0.0, "simulate": 0.0}
     folder.mkdir()
     with open_log(None) as log:
-        run = Collection(collector, setting.loop, check_domain("walker"), [Journal(folder, log)], None)
+        run = Collection(collector, setting.loop, check_domain("walker"), [DatasetSink(folder, log)], None)
         while run.steps < setting.loop.seed_steps:
             run.step()
         for name in spent:

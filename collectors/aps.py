@@ -9,9 +9,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from cudc_bench.learning.knn import neighbour_distances, normalised_entropy_reward
-from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trained, mlp
+from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trainable, mlp
 from cudc_bench.learning.replay import Batch
-from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.learning.running_mean_std import RunningMeanStd
 from cudc_bench.settings.config import NonNegativeFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
@@ -61,18 +61,18 @@ class APS(DDPG):
     def critic_outputs(self) -> int:
         return int(self.config.task_dim)
 
-    def draw_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom) -> Tensor:
         return F.normalize(random.normal(self.config.task_dim), dim=-1)
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config
         if config.neighbours + config.knn_exclude_self > config.batch_size:
             raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
-        self.features = mlp(random, self.space.observation, config.width, config.width, config.task_dim)
-        self.moments = RunningMoments(random.count, self.device)
+        self.features = mlp(random, self.sizes.observation, config.width, config.width, config.task_dim)
+        self.moments = RunningMeanStd(random.count, self.device)
         return [self.features]
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         aligned = (skill_of(batch) * F.normalize(self.features(batch.next_observation), dim=-1)).sum(-1)
         loss = -aligned.mean(1)
         return loss, {"loss_alignment": loss.detach()}

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from cudc_bench.learning.knn import neighbour_distances
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp, trunk
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp, trunk
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import PositiveInt
 
@@ -43,17 +43,17 @@ class APT(DDPG):
     family = "entropy"
     citation = "Liu and Abbeel 2021"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config
         if config.neighbours + config.knn_exclude_self > config.batch_size:
             raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
-        a, z, width = self.space.action, config.feature_dim, config.width
-        self.encoder = trunk(random, self.space.observation, z)
+        a, z, width = self.sizes.action, config.feature_dim, config.width
+        self.encoder = trunk(random, self.sizes.observation, z)
         self.forward_model = mlp(random, z + a, width, z)
         self.inverse_model = mlp(random, 2 * z, width, a, output=torch.tanh)
         return [self.encoder, self.forward_model, self.inverse_model]
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         size = batch.observation.shape[1]
         z, z_next = self.encoder(torch.cat([batch.observation, batch.next_observation], dim=1)).split(size, dim=1)
         predicted = self.forward_model(torch.cat([z, batch.action], dim=-1))

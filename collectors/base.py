@@ -16,7 +16,7 @@ from cudc_bench.settings.profiles import PAPER_STEPS, schedules
 
 
 @dataclass(frozen=True)
-class Space:
+class Sizes:
     """The sizes that a method is built for.
 
     Attributes:
@@ -53,9 +53,9 @@ class Collector(MemberStack):
     family: ClassVar[str]
     learns: ClassVar[bool] = True
 
-    def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+    def __init__(self, sizes: Sizes, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         super().__init__(config, seeds, device)
-        self.space = space
+        self.sizes = sizes
 
     @classmethod
     def configure(cls, domain: str, profile: Mapping[str, Any] | None = None, settings: Mapping[str, Any] | None = None) -> Any:

@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, Trained
+from cudc_bench.learning.networks import MemberRandom, Trainable
 from cudc_bench.learning.replay import Batch
-from cudc_bench.learning.running_mean_std import RunningMoments
-from cudc_bench.settings.config import LATER, NonNegativeFloat, PositiveFloat
+from cudc_bench.learning.running_mean_std import RunningMeanStd
+from cudc_bench.settings.config import ADDED_LATER, NonNegativeFloat, PositiveFloat
 
 from .apt import APT, APTConfig
 
@@ -29,9 +29,9 @@ class BEConfig(APTConfig):
     """
 
     alpha: PositiveFloat = 0.5
-    particle_weight: Literal["one_plus_distance", "distance"] = field(default="one_plus_distance", metadata=LATER)
-    normalise_by: Literal["none", "running_mean"] = field(default="none", metadata=LATER)
-    distance_floor: NonNegativeFloat = field(default=0.0, metadata=LATER)
+    particle_weight: Literal["one_plus_distance", "distance"] = field(default="one_plus_distance", metadata=ADDED_LATER)
+    normalise_by: Literal["none", "running_mean"] = field(default="none", metadata=ADDED_LATER)
+    distance_floor: NonNegativeFloat = field(default=0.0, metadata=ADDED_LATER)
 
 
 class BE(APT):
@@ -53,10 +53,10 @@ class BE(APT):
     family = "entropy"
     citation = "Suttle et al. 2025"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         trained = super().build(random)
         if self.config.normalise_by == "running_mean":
-            self.moments = RunningMoments(random.count, self.device)
+            self.moments = RunningMeanStd(random.count, self.device)
         return trained
 
     def reward(self, batch: Batch) -> Tensor:

@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from cudc_bench.learning.knn import neighbour_distances, normalised_entropy_reward
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
-from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.learning.running_mean_std import RunningMeanStd
 from cudc_bench.settings.config import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
@@ -63,20 +63,20 @@ class CIC(DDPG):
     def skill_steps(self) -> int:
         return int(self.config.skill_every)
 
-    def draw_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom) -> Tensor:
         return random.uniform(self.config.skill_dim)
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         config, width = self.config, self.config.width
         if config.neighbours + config.knn_exclude_self > config.batch_size:
             raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
-        self.state_network = mlp(random, self.space.observation, width, width, config.skill_dim)
+        self.state_network = mlp(random, self.sizes.observation, width, width, config.skill_dim)
         self.pair_network = mlp(random, 2 * config.skill_dim, width, width, config.skill_dim)
         self.skill_network = mlp(random, config.skill_dim, width, width, config.skill_dim)
-        self.moments = RunningMoments(random.count, self.device)
+        self.moments = RunningMeanStd(random.count, self.device)
         return [self.state_network, self.pair_network, self.skill_network]
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         size = batch.observation.shape[1]
         both = self.state_network(torch.cat([batch.observation, batch.next_observation], dim=1))
         keys = F.normalize(self.pair_network(torch.cat(both.split(size, dim=1), dim=-1)), dim=-1)

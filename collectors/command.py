@@ -31,7 +31,7 @@ from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.settings.seeds import parse_seeds
 
 
-@interrupts.leave_well()  # also between two methods
+@interrupts.leaving_gracefully()  # also between two methods
 def collect(
     method: MethodOption = "cudc",
     domain: DomainOption = "walker",

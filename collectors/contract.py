@@ -36,38 +36,38 @@ from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.learning.cpu_graphs import RecordedGraph
-from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updates
+from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updater
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 
-from .base import Collector, Space
+from .base import Collector, Sizes
 from .ddpg import DDPG
 from .representation import effective_rank, spread
-from .running.journal import Journal
+from .running.journal import DatasetSink
 from .running.loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
 SPACES = {
-    name: Space(name, domain.observation_size, domain.action_size, domain.episode_length, seed_steps=4000, update_every=2)
+    name: Sizes(name, domain.observation_size, domain.action_size, domain.episode_length, seed_steps=4000, update_every=2)
     for name, domain in DOMAINS.items()
 }
 
 
-def make(name: str = "cudc", seeds: Sequence[int] = (1,), space: Space | None = None, **settings: Any) -> Any:
+def make(name: str = "cudc", seeds: Sequence[int] = (1,), sizes: Sizes | None = None, **settings: Any) -> Any:
     """A registered collector at a small size.
 
     Args:
         name: under which it is registered.
         seeds: one for each member.
-        space: what it is built for; Walker without it.
+        sizes: what it is built for; Walker without it.
         settings: hyperparameters that differ from ``SMALL`` and the method's defaults.
     """
     kind = plugins.load("collectors", name)
-    space = space or SPACES["walker"]
-    config = kind.configure(space.domain, SMALL, settings)
+    sizes = sizes or SPACES["walker"]
+    config = kind.configure(sizes.domain, SMALL, settings)
     if (threshold := kind.measured_by_pilot(config)) is not None and getattr(config, threshold) is None:
-        config = kind.configure(space.domain, SMALL, {threshold: 0.5, **settings})
-    return kind(space, config, list(seeds))
+        config = kind.configure(sizes.domain, SMALL, {threshold: 0.5, **settings})
+    return kind(sizes, config, list(seeds))
 
 
 def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = False) -> Batch:
@@ -78,9 +78,9 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
         generator = torch.Generator().manual_seed(seed + 1000 * member)
         parts.append(
             (
-                torch.randn(size, collector.space.observation, generator=generator),
-                torch.rand(size, collector.space.action, generator=generator) * 2 - 1,
-                torch.randn(size, collector.space.observation, generator=generator),
+                torch.randn(size, collector.sizes.observation, generator=generator),
+                torch.rand(size, collector.sizes.action, generator=generator) * 2 - 1,
+                torch.randn(size, collector.sizes.observation, generator=generator),
             )
         )
     observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
@@ -90,7 +90,7 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
         batch.nearer_horizon = collector.min_horizon + torch.arange(size) % (collector.horizon[:, None] - collector.min_horizon + 1)
     if collector.skill_size:
         rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in members]
-        batch.skill = torch.stack([collector.draw_skills(MemberRandom(seeds, "rows")) for seeds in rows])
+        batch.skill = torch.stack([collector.sample_skills(MemberRandom(seeds, "rows")) for seeds in rows])
     return batch
 
 
@@ -98,20 +98,20 @@ def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
     """Transitions of a small world, one member's: four causes, which turn, fade, and are moved by the actions, seen through a nonlinear
     mixture with a little noise."""
     laws, drawn = torch.Generator().manual_seed(7), torch.Generator().manual_seed(seed)
-    space = collector.space
-    mixture, pushes = torch.randn(4, space.observation, generator=laws), torch.randn(space.action, 4, generator=laws)
+    sizes = collector.sizes
+    mixture, pushes = torch.randn(4, sizes.observation, generator=laws), torch.randn(sizes.action, 4, generator=laws)
     turn = torch.linalg.qr(torch.randn(4, 4, generator=laws)).Q
-    causes, action = torch.randn(1, size, 4, generator=drawn), torch.rand(1, size, space.action, generator=drawn) * 2 - 1
+    causes, action = torch.randn(1, size, 4, generator=drawn), torch.rand(1, size, sizes.action, generator=drawn) * 2 - 1
     following = 0.95 * causes @ turn + 0.5 * action @ pushes
 
     def seen(causes: Tensor) -> Tensor:
-        return torch.tanh(0.5 * causes @ mixture) + 0.02 * torch.randn(1, size, space.observation, generator=drawn)
+        return torch.tanh(0.5 * causes @ mixture) + 0.02 * torch.randn(1, size, sizes.observation, generator=drawn)
 
     batch = Batch(seen(causes), action, seen(following), collector.horizon)
     if collector.min_horizon is not None:
         batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.min_horizon)
     if collector.skill_size:
-        batch.skill = collector.draw_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
+        batch.skill = collector.sample_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
     return batch
 
 
@@ -180,17 +180,17 @@ class CollectorContract:
     @pytest.mark.parametrize("domain", SPACES)
     @pytest.mark.parametrize("members", [1, 3])
     def test_builds_updates_and_acts_in_every_domain(self, name: str, domain: str, members: int) -> None:
-        space = SPACES[domain]
-        collector = make(name, range(members), space)
+        sizes = SPACES[domain]
+        collector = make(name, range(members), sizes)
         metrics = collector.update(batch_for(collector, measure=True))
         assert all(value.shape == (members,) and torch.isfinite(value).all() for value in metrics.values())
         assert bool(metrics) == collector.learns
-        action = collector.act(torch.randn(members, space.observation))
-        assert action.shape == (members, space.action)
+        action = collector.act(torch.randn(members, sizes.observation))
+        assert action.shape == (members, sizes.action)
         assert action.abs().max() <= 1
         assert collector.horizon.shape == (members,)
         assert collector.horizon.dtype == torch.int64
-        assert 1 <= int(collector.horizon.max()) <= collector.max_horizon <= space.episode_length
+        assert 1 <= int(collector.horizon.max()) <= collector.max_horizon <= sizes.episode_length
         assert len(collector.summary()) == members
 
     def test_says_what_it_is(self, name: str) -> None:
@@ -264,8 +264,8 @@ class CollectorContract:
                     interrupts.ask()
 
             folder.mkdir(exist_ok=True)
-            with interrupts.leave_well(), open_log(None) as log:
-                journal = Journal(folder, log)
+            with interrupts.leaving_gracefully(), open_log(None) as log:
+                journal = DatasetSink(folder, log)
                 run_collection(
                     collector, config, DOMAINS["walker"], [journal], advance, Checkpoints(folder / "checkpoints", {"name": name})
                 )
@@ -347,7 +347,7 @@ class CollectorContract:
             def draw(measure: bool) -> Batch:
                 return replay.sample(32, collector.horizon, measure, collector.min_horizon)
 
-            updates = Updates(collector, draw, random, graph)
+            updates = Updater(collector, draw, random, graph)
             seen: list[str] = []
             places: list[list[int]] = []
             for step in range(WARM_UP + 9):

@@ -18,9 +18,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from cudc_bench.learning.knn import neighbour_distances
-from cudc_bench.learning.networks import Activation, LayerNorm, MemberRandom, Trained, make_target, mlp, soft_update, trunk
+from cudc_bench.learning.networks import Activation, LayerNorm, MemberRandom, Trainable, make_target, mlp, soft_update, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import LATER, WITH_STEPS, Fraction, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import ADDED_LATER, WITH_STEPS, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, UnitInterval
 
 from .ddpg import DDPGConfig
 from .horizon import MovingHorizon
@@ -82,11 +82,11 @@ class CUDCConfig(DDPGConfig):
     beta: NonNegativeFloat = 1e-2
     clip_low: NonNegativeFloat = 0.2
     clip_high: PositiveFloat = 2.0
-    c_w: Fraction = 0.02
-    c_k: Fraction = 0.5
-    momentum_tau: Fraction = 0.05
+    c_w: UnitInterval = 0.02
+    c_k: UnitInterval = 0.5
+    momentum_tau: UnitInterval = 0.05
     temperature: PositiveFloat = 1.0
-    keys: PositiveInt | None = field(default=None, metadata=LATER)
+    keys: PositiveInt | None = field(default=None, metadata=ADDED_LATER)
     w_init: Literal["uniform", "scaled_identity"] = "uniform"
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0, 1.0, 1.0)
     state_target: Literal["live", "stopgrad", "momentum"] = "live"
@@ -162,9 +162,9 @@ class Features:
 
 
 def features_of(batch: Batch) -> Features:
-    """Those that ``belief_loss``, or ``reward``, left with a minibatch."""
-    assert isinstance(batch.kept, Features)
-    return batch.kept
+    """Those that ``auxiliary_loss``, or ``reward``, left with a minibatch."""
+    assert isinstance(batch.cache, Features)
+    return batch.cache
 
 
 class CUDC(MovingHorizon):
@@ -213,23 +213,23 @@ class CUDC(MovingHorizon):
             if found:
                 raise ValueError(problem)
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         self.check()
         config, members = self.config, random.count
         width = config.width
-        s = self.space.observation if config.encoder == "none" else config.feature_dim
-        a = config.action_feature_dim if config.action_encoder else self.space.action
+        s = self.sizes.observation if config.encoder == "none" else config.feature_dim
+        a = config.action_feature_dim if config.action_encoder else self.sizes.action
         self.state_encoder = self._state_encoder(random)
-        trained: list[Trained] = [self.state_encoder]
+        trained: list[Trainable] = [self.state_encoder]
         if config.action_encoder:
-            self.action_encoder = mlp(random, self.space.action, config.action_hidden, config.action_hidden, a)
+            self.action_encoder = mlp(random, self.sizes.action, config.action_hidden, config.action_hidden, a)
             trained.append(self.action_encoder)
         self.forward_model = mlp(random, s + a + self.horizons, width, s)
         trained.append(self.forward_model)
         if config.inverse == "features":
             self.inverse_model = mlp(random, 2 * s + self.horizons, width, a)
         elif config.inverse == "actions":
-            self.inverse_model = mlp(random, 2 * s, width, self.space.action, output=torch.tanh)
+            self.inverse_model = mlp(random, 2 * s, width, self.sizes.action, output=torch.tanh)
         if config.inverse != "none":
             trained.append(self.inverse_model)
         if config.step_model:
@@ -249,11 +249,11 @@ class CUDC(MovingHorizon):
         older = max((config.keys or 0) - config.batch_size, 0) if config.reach else 0
         self.register_buffer("older_keys", torch.zeros(members, older, config.projection_dim, device=device))
         self.register_buffer("keys_seen", torch.zeros((), dtype=torch.int64, device=device))
-        self.register_buffer("probe", torch.zeros(members, config.batch_size, self.space.observation, device=device))
+        self.register_buffer("probe", torch.zeros(members, config.batch_size, self.sizes.observation, device=device))
         return trained
 
     def _state_encoder(self, random: MemberRandom) -> nn.Module:
-        size, width, z = self.space.observation, self.config.width, self.config.feature_dim
+        size, width, z = self.sizes.observation, self.config.width, self.config.feature_dim
         if self.config.encoder == "none":
             return nn.Identity()
         if self.config.encoder == "apt":
@@ -314,7 +314,7 @@ class CUDC(MovingHorizon):
             found.retrieved = (logits.detach().argmax(-1) == label).float().mean(1)
         return found
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         f, config = self.features(batch), self.config
         state_target = f.momentum if config.state_target == "momentum" else f.z_next
         if config.state_target == "stopgrad":
@@ -330,7 +330,7 @@ class CUDC(MovingHorizon):
         if config.reach:
             losses["loss_reach"] = -f.log_reachable.mean(1)
         # Algorithm 1 computes w and r before the module's update: these are the values of this forward pass.
-        batch.kept = f.detached()
+        batch.cache = f.detached()
         total = sum(weight * losses[name] for name, weight in zip(_LOSSES, config.loss_weights, strict=True) if name in losses)
         return total, {name: loss.detach() for name, loss in losses.items()}
 
@@ -341,7 +341,7 @@ class CUDC(MovingHorizon):
 
     def reward(self, batch: Batch) -> Tensor:
         if self.config.reward_after_update:
-            batch.kept = self.features(batch)
+            batch.cache = self.features(batch)
         f, config = features_of(batch), self.config
         f.surprise = (f.z_next - f.predicted).norm(dim=-1)
         terms = []
@@ -367,7 +367,7 @@ class CUDC(MovingHorizon):
         f.unclipped = w
         return w.clamp(self.config.clip_low, self.config.clip_high)
 
-    def after_belief(self, batch: Batch) -> dict[str, Tensor]:
+    def after_auxiliary_step(self, batch: Batch) -> dict[str, Tensor]:
         f, config = features_of(batch), self.config
         measured = self._measure(batch) if batch.measure else {}
         if config.reach and (size := self.older_keys.shape[1]):

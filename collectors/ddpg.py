@@ -1,8 +1,8 @@
 """The backbone of every learning collector: DDPG with twin critics, as URLB configures it for states.
 
 One update is one fixed sequence: believe, reward, critic, actor, targets. A method says only what is its own: what it believes
-(``build`` and ``belief_loss``), what it rewards (``reward``), and, for some, its horizon, its sample weights, or its skills
-(``skill_size``, ``skill_steps`` and ``draw_skills``), which actor and critic then see beside the observation.
+(``build`` and ``auxiliary_loss``), what it rewards (``reward``), and, for some, its horizon, its sample weights, or its skills
+(``skill_size``, ``skill_steps`` and ``sample_skills``), which actor and critic then see beside the observation.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from cudc_bench.learning.learner import Learner
-from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trained, actor, frozen, make_target, noisy_action, soft_update
+from cudc_bench.learning.networks import MemberRandom, SharedTrunkCritic, Trainable, actor, frozen, make_target, noisy_action, soft_update
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
-from .base import Collector, Space
+from .base import Collector, Sizes
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class DDPGConfig(Config):
     batch_size: PositiveInt = 1024
     width: PositiveInt = 1024
     learning_rate: PositiveFloat = 1e-4
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.01
+    discount: UnitInterval = 0.99
+    critic_tau: UnitInterval = 0.01
     noise_std: NonNegativeFloat = 0.2
     noise_clip: NonNegativeFloat = 0.3
     horizon: PositiveInt = 3
@@ -59,8 +59,8 @@ class DDPG(Collector, Learner):
 
     config_class: ClassVar[type] = DDPGConfig
 
-    def __init__(self, space: Space, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        super().__init__(space, config, seeds, device)
+    def __init__(self, sizes: Sizes, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        super().__init__(sizes, config, seeds, device)
         # A method may add its own.
         self.random = {
             "act": MemberRandom(seeds, "act", device),
@@ -68,10 +68,10 @@ class DDPG(Collector, Learner):
             "skill": MemberRandom(seeds, "skill", device),
         }
         weights = MemberRandom(seeds, "weights", device)
-        inputs = space.observation + self.skill_size
-        self.actor = actor(weights, inputs, space.action, config.width)
-        self.critic = SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs)
-        self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, inputs + space.action, config.width, self.critic_outputs))
+        inputs = sizes.observation + self.skill_size
+        self.actor = actor(weights, inputs, sizes.action, config.width)
+        self.critic = SharedTrunkCritic(weights, inputs + sizes.action, config.width, self.critic_outputs)
+        self.target_critic = make_target(self.critic, SharedTrunkCritic(weights, inputs + sizes.action, config.width, self.critic_outputs))
         self.add_optimiser("actor", [self.actor], config.learning_rate)
         self.add_optimiser("critic", [self.critic], config.learning_rate)
         members = len(seeds)
@@ -93,32 +93,32 @@ class DDPG(Collector, Learner):
         """How many numbers each critic gives; ``value`` turns them into one."""
         return 1
 
-    def build(self, random: MemberRandom) -> list[Trained]:
-        """Make the method's own networks; return those that ``belief_loss`` trains, in one Adam."""
+    def build(self, random: MemberRandom) -> list[Trainable]:
+        """Make the method's own networks; return those that ``auxiliary_loss`` trains, in one Adam."""
         return []
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss (E,) of the method's own networks, and metrics."""
-        raise NotImplementedError(f"{type(self).__name__} trains networks but has no belief_loss")
+        raise NotImplementedError(f"{type(self).__name__} trains networks but has no auxiliary_loss")
 
     @abstractmethod
     def reward(self, batch: Batch) -> Tensor:
-        """The intrinsic reward (E, B), after the belief step, without gradient."""
+        """The intrinsic reward (E, B), after the auxiliary step, without gradient."""
 
     def sample_weight(self, batch: Batch) -> Tensor | None:
         """Weights (E, B) of the samples in the losses of critic and actor; None for equal weights."""
         return None
 
-    def after_belief(self, batch: Batch) -> dict[str, Tensor]:
-        """What else changes after the belief step, such as the horizon; returns metrics."""
+    def after_auxiliary_step(self, batch: Batch) -> dict[str, Tensor]:
+        """What else changes after the auxiliary step, such as the horizon; returns metrics."""
         return {}
 
     def update_targets(self) -> None:
         """Move the method's own slow copies."""
 
-    def draw_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom) -> Tensor:
         """New skills (E, K)."""
-        raise NotImplementedError(f"{type(self).__name__} has skills but no draw_skills")
+        raise NotImplementedError(f"{type(self).__name__} has skills but no sample_skills")
 
     def value(self, critic: SharedTrunkCritic, observation: Tensor, skill: Tensor | None, action: Tensor) -> Tensor:
         """Both critics' values (E, B, 2)."""
@@ -143,12 +143,12 @@ class DDPG(Collector, Learner):
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         metrics: dict[str, Tensor] = {}
         if "belief" in self.optimisers:
-            loss, metrics = self.belief_loss(batch)
+            loss, metrics = self.auxiliary_loss(batch)
             self.minimise("belief", loss)
         with torch.no_grad():
             reward = self.reward(batch)
             weight = self.sample_weight(batch)
-            metrics |= self.after_belief(batch)
+            metrics |= self.after_auxiliary_step(batch)
         metrics |= self._update_critic(batch, reward, weight)
         metrics |= self._update_actor(batch, weight)
         soft_update(self.critic, self.target_critic, self.config.critic_tau)
@@ -159,7 +159,7 @@ class DDPG(Collector, Learner):
     def next_skill(self, t: int) -> Tensor:
         """New ones at the start of an episode and every ``skill_steps`` steps; with 0 they last for the whole episode."""
         if t == 0 or (self.skill_steps and t % self.skill_steps == 0):
-            self.skill.copy_(self.draw_skills(self.random["skill"]))
+            self.skill.copy_(self.sample_skills(self.random["skill"]))
         return self.skill
 
     def _policy(self, observation: Tensor, skill: Tensor | None) -> Tensor:
@@ -200,4 +200,4 @@ class DDPG(Collector, Learner):
         mean = self.actor(self.with_skill(observation, self.skill if self.skill_size else None)[:, None])[:, 0]
         if not explore:
             return mean
-        return noisy_action(mean, self.random["act"].normal(self.space.action), self.config.noise_std, None)
+        return noisy_action(mean, self.random["act"].normal(self.sizes.action), self.config.noise_std, None)

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import NonNegativeInt
 
@@ -41,7 +41,7 @@ class OneHotSkills(DDPG):
     def skill_steps(self) -> int:
         return int(self.config.skill_every)
 
-    def draw_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom) -> Tensor:
         skills = self.config.skills
         return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
 
@@ -57,12 +57,12 @@ class DIAYN(OneHotSkills):
     family = "competence"
     citation = "Eysenbach et al. 2018"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         width = self.config.width
-        self.discriminator = mlp(random, self.space.observation, width, width, self.config.skills)
+        self.discriminator = mlp(random, self.sizes.observation, width, width, self.config.skills)
         return [self.discriminator]
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         logits, skill = self.discriminator(batch.next_observation), skill_of(batch)
         loss = skill_cross_entropy(logits, skill).mean(1)
         right = (logits.argmax(-1) == skill.argmax(-1)).float().mean(1)

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from cudc_bench.learning.networks import Ensemble, MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import Ensemble, MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
 
 from .ddpg import DDPG, DDPGConfig
@@ -37,8 +37,8 @@ class Disagreement(DDPG):
     family = "uncertainty"
     citation = "Pathak et al. 2019"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
-        s, a, width = self.space.observation, self.space.action, self.config.width
+    def build(self, random: MemberRandom) -> list[Trainable]:
+        s, a, width = self.sizes.observation, self.sizes.action, self.config.width
         # PyTorch's default start, so that the models differ in their biases, too.
         self.models = Ensemble(random, self.config.models, lambda streams: mlp(streams, s + a, width, s, orthogonal=False))
         return [self.models]
@@ -47,7 +47,7 @@ class Disagreement(DDPG):
         """ŝ' of each model (E, N, B, S)."""
         return self.models(torch.cat([batch.observation, batch.action], dim=-1))
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         loss = (batch.next_observation[:, None] - self.predictions(batch)).norm(dim=-1).mean((1, 2))
         return loss, {"loss_forward": loss.detach()}
 

@@ -25,9 +25,9 @@ _DRAWN = frozenset({"uniform", "normal"})  # rules that look at nothing
 class MovingHorizon(DDPG):
     """A backbone whose k moves inside K = {horizon, ..., k_max} by the rule that the configuration names.
 
-    A method calls ``build_horizon`` in ``build`` and ``move_horizon`` in ``after_belief``. Its configuration has ``k_max``, ``k_rule``, the
-    thresholds ``c_w``, ``c_r`` and ``c_e``, the share ``c_k``, ``patience``, ``min_dwell``, ``threshold_dwell``, ``normal_std`` and
-    ``normal_steps``, as :class:`.cudc.CUDCConfig` explains them.
+    A method calls ``build_horizon`` in ``build`` and ``move_horizon`` in ``after_auxiliary_step``. Its configuration has ``k_max``,
+    ``k_rule``, the thresholds ``c_w``, ``c_r`` and ``c_e``, the share ``c_k``, ``patience``, ``min_dwell``, ``threshold_dwell``,
+    ``normal_std`` and ``normal_steps``, as :class:`.cudc.CUDCConfig` explains them.
     """
 
     ignored_by_pilot: ClassVar[frozenset[str]] = frozenset(
@@ -83,7 +83,7 @@ class MovingHorizon(DDPG):
         config = self.config
         self.in_a_row.copy_(torch.where(low > config.c_k, self.in_a_row + 1, 0))
         dwell = max(config.min_dwell, config.threshold_dwell if self.measured_by_pilot(config) else 0)
-        dwelt = (self.updates - self.last_change) * self.space.update_every >= dwell
+        dwelt = (self.updates - self.last_change) * self.sizes.update_every >= dwell
         grow = (self.in_a_row >= config.patience) & dwelt & (self.k < config.k_max)
         row = (self.k - config.horizon)[:, None, None].expand(-1, 1, 3)
         seen = torch.stack([self.updates.float().expand_as(mean), low, mean], dim=-1)[:, None]
@@ -98,7 +98,7 @@ class MovingHorizon(DDPG):
         if config.k_rule == "uniform":
             drawn = config.horizon + (self.random["k"].uniform() * self.horizons).long()
         else:
-            steps = self.space.seed_steps + (self.updates + 1) * self.space.update_every
+            steps = self.sizes.seed_steps + (self.updates + 1) * self.sizes.update_every
             mean = config.horizon + (config.k_max - config.horizon) * steps / config.normal_steps
             drawn = (mean + config.normal_std * self.random["k"].normal()).round().long()
         return drawn.clamp(config.horizon, config.k_max)
@@ -116,9 +116,9 @@ class MovingHorizon(DDPG):
             changes = []
             for row, (update, p, mean) in enumerate(member):
                 if update >= 0:
-                    step = self.space.seed_steps + int(update) * self.space.update_every
+                    step = self.sizes.seed_steps + int(update) * self.sizes.update_every
                     k = self.config.horizon + row
                     changes.append({"step": step, "old_k": k, "new_k": k + 1, "p": p, looked_at: mean})
             at_bound = len(changes) == self.horizons - 1 and len(changes) > 1
-            found.append(summarise(changes, at_bound, self.space.steps))
+            found.append(summarise(changes, at_bound, self.sizes.steps))
         return found

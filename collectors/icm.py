@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import PositiveFloat
 
@@ -37,8 +37,8 @@ class ICM(DDPG):
     family = "curiosity"
     citation = "Pathak et al. 2017"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
-        s, a, width = self.space.observation, self.space.action, self.config.width
+    def build(self, random: MemberRandom) -> list[Trainable]:
+        s, a, width = self.sizes.observation, self.sizes.action, self.config.width
         self.forward_model = mlp(random, s + a, width, s)
         self.inverse_model = mlp(random, 2 * s, width, a, output=torch.tanh)
         return [self.forward_model, self.inverse_model]
@@ -48,7 +48,7 @@ class ICM(DDPG):
         predicted = self.forward_model(torch.cat([batch.observation, batch.action], dim=-1))
         return (batch.next_observation - predicted).norm(dim=-1)
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         inferred = self.inverse_model(torch.cat([batch.observation, batch.next_observation], dim=-1))
         losses = {
             "loss_forward": self.forward_error(batch).mean(1),

@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from cudc_bench.learning.knn import neighbour_distances
-from cudc_bench.learning.networks import Linear, MemberRandom, Trained, make_target, mlp, soft_update
+from cudc_bench.learning.networks import Linear, MemberRandom, Trainable, make_target, mlp, soft_update
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Fraction, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import PositiveFloat, PositiveInt, UnitInterval
 
 from .ddpg import DDPG, DDPGConfig
 
@@ -39,7 +39,7 @@ class ProtoConfig(DDPGConfig):
     neighbours: PositiveInt = 3
     temperature: PositiveFloat = 0.1
     sinkhorn_iterations: PositiveInt = 3
-    encoder_tau: Fraction = 0.05
+    encoder_tau: UnitInterval = 0.05
 
 
 class Proto(DDPG):
@@ -57,8 +57,8 @@ class Proto(DDPG):
     queue: Tensor
     queue_start: Tensor
 
-    def build(self, random: MemberRandom) -> list[Trained]:
-        config, s = self.config, self.space.observation
+    def build(self, random: MemberRandom) -> list[Trainable]:
+        config, s = self.config, self.sizes.observation
         if config.queue_size % config.prototypes:
             raise ValueError(f"queue_size={config.queue_size} is no multiple of prototypes={config.prototypes}")
         if config.neighbours > config.queue_size:
@@ -92,7 +92,7 @@ class Proto(DDPG):
             q = q / q.sum(2, keepdim=True)
         return q
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.normalise_prototypes()
         online = F.normalize(self.projector(self.predictor(batch.observation)), dim=-1)
         log_p = (self.scores(online) / self.config.temperature).log_softmax(-1)

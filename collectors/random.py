@@ -13,7 +13,7 @@ from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import Config
 
-from .base import Collector, Space
+from .base import Collector, Sizes
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Random(Collector):
     citation = "uniform actions"
     learns = False
 
-    def __init__(self, space: Space, config: RandomConfig, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
-        super().__init__(space, config, seeds, device)
+    def __init__(self, sizes: Sizes, config: RandomConfig, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
+        super().__init__(sizes, config, seeds, device)
         self._random = MemberRandom(seeds, "act", device)
 
     @property
@@ -39,8 +39,8 @@ class Random(Collector):
 
     def act(self, observation: Tensor, explore: bool = True) -> Tensor:
         if not explore:
-            return torch.zeros(len(self.seeds), self.space.action, device=self.device)
-        return self._random.uniform(self.space.action) * 2.0 - 1.0
+            return torch.zeros(len(self.seeds), self.sizes.action, device=self.device)
+        return self._random.uniform(self.sizes.action) * 2.0 - 1.0
 
     def update(self, batch: Batch) -> dict[str, Tensor]:
         return {}

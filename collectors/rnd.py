@@ -8,9 +8,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
-from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.learning.running_mean_std import RunningMeanStd
 from cudc_bench.settings.config import PositiveFloat, PositiveInt
 
 from .ddpg import DDPG, DDPGConfig
@@ -44,24 +44,24 @@ class RND(DDPG):
     family = "novelty"
     citation = "Burda et al. 2018"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
-        sizes = (self.space.observation, self.config.width, self.config.width, self.config.feature_dim)
+    def build(self, random: MemberRandom) -> list[Trainable]:
+        sizes = (self.sizes.observation, self.config.width, self.config.width, self.config.feature_dim)
         self.predictor = mlp(random, *sizes)
         self.random_network = mlp(random, *sizes).requires_grad_(False)
-        self.moments = RunningMoments(random.count, self.device)
+        self.moments = RunningMeanStd(random.count, self.device)
         return [self.predictor]
 
     def error(self, batch: Batch) -> Tensor:
         """Mean squared error (E, B) over the features, for the current states."""
-        if "target" not in batch.kept:
+        if "target" not in batch.cache:
             observation = batch.observation
             variance, mean = torch.var_mean(observation, dim=1, keepdim=True, unbiased=False)
             clip = self.config.observation_clip
             normalised = ((observation - mean) / (variance + _EPSILON).sqrt()).clamp(-clip, clip)
-            batch.kept = {"normalised": normalised, "target": self.random_network(normalised)}
-        return (batch.kept["target"] - self.predictor(batch.kept["normalised"])).square().mean(-1)
+            batch.cache = {"normalised": normalised, "target": self.random_network(normalised)}
+        return (batch.cache["target"] - self.predictor(batch.cache["normalised"])).square().mean(-1)
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         loss = self.error(batch).mean(1)
         return loss, {"loss_prediction": loss.detach()}
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from cudc_bench.learning.networks import Linear, MemberRandom, Trained, mlp
+from cudc_bench.learning.networks import Linear, MemberRandom, Trainable, mlp
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import Finite, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
@@ -55,18 +55,18 @@ class SMM(OneHotSkills):
     family = "density"
     citation = "Lee et al. 2019"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config
-        inputs, hidden = self.space.observation + config.skills, config.vae_hidden
+        inputs, hidden = self.sizes.observation + config.skills, config.vae_hidden
         # Mean and log-variance are layers of their own, computed as one.
         heads = Linear(random, hidden, 2 * config.latent_dim, blocks=2)
         self.encoder = nn.Sequential(*mlp(random, inputs, hidden, hidden, output=torch.relu_), heads)
         self.decoder = mlp(random, config.latent_dim, hidden, hidden, inputs)
-        self.discriminator = mlp(random, self.space.observation, config.width, config.width, config.skills)
+        self.discriminator = mlp(random, self.sizes.observation, config.width, config.width, config.skills)
         rate = config.vae_learning_rate
         return [(self.encoder, rate), (self.decoder, rate), (self.discriminator, config.discriminator_learning_rate)]
 
-    def belief_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         skill = skill_of(batch)
         seen = torch.cat([batch.observation, skill], dim=-1)
         mean, log_variance = self.encoder(seen).chunk(2, dim=-1)
@@ -75,7 +75,7 @@ class SMM(OneHotSkills):
         divergence = 0.5 * (log_variance.exp() + mean.square() - 1.0 - log_variance).sum(-1)
         unrecognised = skill_cross_entropy(self.discriminator(batch.observation), skill)
         # The reward is that of this forward pass, before its step, as in URLB.
-        batch.kept = {"novelty": squared.detach().sum(-1), "unrecognised": unrecognised.detach()}
+        batch.cache = {"novelty": squared.detach().sum(-1), "unrecognised": unrecognised.detach()}
         losses = {
             "loss_reconstruction": squared.mean((1, 2)),
             "loss_divergence": self.config.kl_weight * divergence.mean(1),
@@ -85,6 +85,6 @@ class SMM(OneHotSkills):
         return total, {name: loss.detach() for name, loss in losses.items()}
 
     def reward(self, batch: Batch) -> Tensor:
-        config, kept = self.config, batch.kept
+        config, kept = self.config, batch.cache
         constant = config.latent_weight * math.log(config.skills)
         return config.novelty_weight * kept["novelty"] + constant + config.discriminator_weight * kept["unrecognised"]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, Trained
+from cudc_bench.learning.networks import MemberRandom, Trainable
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import WITH_STEPS, PositiveInt
 
@@ -231,13 +231,13 @@ class APTSchedule(APT):
     def max_horizon(self) -> int:
         return int(self.config.horizon) + len(self.config.k_steps)
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         self.register_buffer("k_steps", torch.tensor(self.config.k_steps, dtype=torch.int64, device=self.device), persistent=False)
         return super().build(random)
 
-    def after_belief(self, batch: Batch) -> dict[str, Tensor]:
-        step = self.space.seed_steps + (self.updates + 1) * self.space.update_every
+    def after_auxiliary_step(self, batch: Batch) -> dict[str, Tensor]:
+        step = self.sizes.seed_steps + (self.updates + 1) * self.sizes.update_every
         self.k.copy_((self.config.horizon + (step >= self.k_steps).sum()).expand(len(self.seeds)))
-        return super().after_belief(batch)
+        return super().after_auxiliary_step(batch)
 
     k_steps: Tensor

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, TwinCritic, actor, frozen, make_target, mlp, noisy_action, soft_update, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
 from .base import Evaluator
 
@@ -70,8 +70,8 @@ class ExORLConfig(Config):
     batch_size: PositiveInt = 1024
     width: PositiveInt = 1024
     learning_rate: PositiveFloat = 1e-4
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.01
+    discount: UnitInterval = 0.99
+    critic_tau: UnitInterval = 0.01
     noise_std: NonNegativeFloat = 0.2
     noise_clip: NonNegativeFloat = 0.3
 

@@ -30,7 +30,7 @@ from cudc_bench import plugins
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
 from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.learning.cpu_graphs import RecordedGraph
-from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updates
+from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updater
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.evaluate_config import EvaluateConfig
@@ -193,7 +193,7 @@ class EvaluatorContract:
                 data.add(0, torch.randn(41, 24, generator=g), torch.rand(40, 6, generator=g))
             data.rewards = torch.rand(2, 120, generator=g)
             horizon = torch.ones(2, dtype=torch.int64)
-            updates = Updates(agent, lambda m: data.sample(32, horizon, m, next_action=agent.wants_next_action), random, graph)
+            updates = Updater(agent, lambda m: data.sample(32, horizon, m, next_action=agent.wants_next_action), random, graph)
             seen: list[str] = []
             places: list[list[int]] = []
             # Some move their actors in every second update only: two plans.

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from cudc_bench.learning.networks import Activation, MemberRandom, mlp, trunk
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
 from .actor_critic import ActorCritic, normal_log_prob, regression
 
@@ -43,8 +43,8 @@ class CQLConfig(Config):
     batch_size: PositiveInt = 1024
     width: PositiveInt = 1024
     learning_rate: PositiveFloat = 1e-4
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.01
+    discount: UnitInterval = 0.99
+    critic_tau: UnitInterval = 0.01
     penalty_weight: NonNegativeFloat = 0.01
     penalty_samples: PositiveInt = 3
     lagrange: bool = False

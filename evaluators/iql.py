@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from cudc_bench.learning.networks import MemberRandom, TwinCritic, make_target, mlp, soft_update
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
 from .actor_critic import OfflineLearner, labels, normal_log_prob, regression
 
@@ -37,9 +37,9 @@ class IQLConfig(Config):
     batch_size: PositiveInt = 256
     width: PositiveInt = 256
     learning_rate: PositiveFloat = 3e-4
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.005
-    expectile: Fraction = 0.7
+    discount: UnitInterval = 0.99
+    critic_tau: UnitInterval = 0.005
+    expectile: UnitInterval = 0.7
     beta: NonNegativeFloat = 3.0
     largest_weight: PositiveFloat = 100.0
     schedule_steps: PositiveInt = 500_000

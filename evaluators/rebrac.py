@@ -20,7 +20,7 @@ from cudc_bench.learning.networks import (
     soft_update,
 )
 from cudc_bench.learning.replay import Batch
-from cudc_bench.settings.config import Config, Fraction, NonNegativeFloat, PositiveFloat, PositiveInt
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
 from .actor_critic import OfflineLearner, labels, regression
 
@@ -47,8 +47,8 @@ class ReBRACConfig(Config):
     width: PositiveInt = 256
     hidden_layers: PositiveInt = 3
     learning_rate: PositiveFloat = 1e-3
-    discount: Fraction = 0.99
-    critic_tau: Fraction = 0.005
+    discount: UnitInterval = 0.99
+    critic_tau: UnitInterval = 0.005
     actor_penalty: NonNegativeFloat = 0.01
     critic_penalty: NonNegativeFloat = 0.01
     noise_std: NonNegativeFloat = 0.2

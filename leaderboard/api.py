@@ -12,8 +12,8 @@ from cudc_bench.files import check_folder, check_path
 
 from .datasets.diagnostics import DiagnosticsReport, compare_stored
 from .datasets.quality import QualityReport, measure_stored
-from .intake.chosen import only
 from .intake.load import Loaded, kept_from_collector, load_records
+from .intake.select import only
 from .output.files import write_files
 from .output.report import Report, make_report, quality_files
 from .show.figures.diagnostics import diagnostic_files

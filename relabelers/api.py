@@ -156,7 +156,7 @@ def _make(wanted: _Wanted, left: dict[str, DatasetId], overwrite: bool) -> None:
         folders = {task: stack.enter_context(staging(one, resume=True)) for task, one in left.items()}
         if not overwrite and all(map(wanted.is_made, left)):
             return  # by another process, while this one was starting
-        stack.enter_context(interrupts.leave_well())
+        stack.enter_context(interrupts.leaving_gracefully())
         rewards = _rewards(base_id, base, wanted.domain, tuple(left), wanted.custom, checkpoints_path(next(iter(left.values()))))
         # The tasks' datasets share observations and actions.
         coverage = measure_coverage(dataset_path(base_id) / "data" / MAIN_FILE, base)

@@ -23,7 +23,7 @@ from cudc_bench.execution import interrupts
 from cudc_bench.settings.seeds import parse_seeds
 
 
-@interrupts.leave_well()  # also between two datasets
+@interrupts.leaving_gracefully()  # also between two datasets
 def relabel(
     dataset_ids: Annotated[
         list[str] | None, typer.Argument(help="Task-agnostic datasets; by default those of --method and --seeds.")

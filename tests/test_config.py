@@ -19,11 +19,11 @@ from cudc_bench.collectors.running.loop import CollectConfig
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder
 from cudc_bench.settings.config import (
-    Fraction,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    UnitInterval,
     as_dict,
     build,
     check_settings,
@@ -52,7 +52,7 @@ class Example:
     index: NonNegativeInt = 0
     rate: PositiveFloat = 0.1
     weight: NonNegativeFloat = 0.0
-    share: Fraction = 0.5
+    share: UnitInterval = 0.5
     switch: bool = False
     mode: Literal["slow", "fast"] = "slow"
     pair: tuple[PositiveInt, PositiveInt] = (1, 2)

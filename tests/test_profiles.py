@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.running.loop import CollectConfig
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import UsageError
@@ -65,8 +65,8 @@ def test_every_profile_builds_every_collector(profile: Profile, name: str) -> No
         assert len(config_hash(as_dict(loop, config))) == 16
         if profile.name == "paper":
             continue  # its networks take seconds to build
-        space = Space(domain.name, domain.observation_size, domain.action_size, domain.episode_length, loop.seed_steps, loop.update_every)
-        assert kind(space, config, [1]).max_horizon <= domain.episode_length
+        sizes = Sizes(domain.name, domain.observation_size, domain.action_size, domain.episode_length, loop.seed_steps, loop.update_every)
+        assert kind(sizes, config, [1]).max_horizon <= domain.episode_length
     assert loop.steps >= loop.seed_steps + domain.episode_length, "nothing is learnt"
 
 

@@ -17,7 +17,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Reference
-from cudc_bench.settings.config import Finite, Fraction, PositiveInt, build
+from cudc_bench.settings.config import Finite, PositiveInt, UnitInterval, build
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 
 from .documents import PAGES, ROOT
@@ -40,7 +40,7 @@ class Shown:
     """
 
     first: PositiveInt = 200_000
-    second: Fraction = 0.5
+    second: UnitInterval = 0.5
     third: Literal["a", "b"] = "a"
     fourth: tuple[Annotated[int, Field(gt=0)], ...] = (1, 2)
     fifth: Finite | None = None

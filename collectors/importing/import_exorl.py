@@ -96,7 +96,7 @@ def import_exorl(
         say(line)
     tally = _Tally()
     # An interruption while HDF5 writes would be lost in it.
-    with staging(one) as building, interrupts.leave_well(saves=False):
+    with staging(one) as building, interrupts.leaving_gracefully(saves=False):
         with bars([(f"import {method}", total)], "steps") as (advance,):
             written = write_episodes(building / "data", _episodes(chosen, facts, first.layout, task, tally, advance))
         manifest = Manifest(

@@ -34,9 +34,9 @@ from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
 from cudc_bench.stages import Planned
 
-from .journal import Journal
+from .journal import DatasetSink
 from .loop import run_collection
-from .setting import NoThresholdError, Setting, say_whose_values, settle
+from .run_spec import NoThresholdError, RunSpec, resolve, say_whose_values
 
 
 def collect(
@@ -86,7 +86,7 @@ def collect(
         Interrupted: the process was asked to leave; what it had done is kept.
     """
     chosen = resolve_profile(profile)
-    setting = settle(method, domain, chosen, settings)
+    setting = resolve(method, domain, chosen, settings)
     seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
@@ -131,9 +131,9 @@ def plan_collect(
     chosen = resolve_profile(profile)
     pilot = False
     try:
-        setting = settle(method, domain, chosen, settings)
+        setting = resolve(method, domain, chosen, settings)
     except NoThresholdError:
-        pilot, setting = True, settle(method, domain, chosen, settings, piloting=True)
+        pilot, setting = True, resolve(method, domain, chosen, settings, piloting=True)
     found = []
     for seed in check_seeds(seeds):
         one = default_id(domain, method, seed)
@@ -152,7 +152,7 @@ def plan_collect(
 class _Stack:
     """Members in the order of their seeds, and where their checkpoints are: with the first one's unfinished dataset."""
 
-    setting: Setting
+    setting: RunSpec
     device: str
     members: list[tuple[int, DatasetId]]
 
@@ -183,7 +183,7 @@ class _Stack:
             return False
 
 
-def _is_made(setting: Setting, seed: int, dataset_id: DatasetId) -> bool:
+def _is_made(setting: RunSpec, seed: int, dataset_id: DatasetId) -> bool:
     """Whether the dataset of that id exists and is what this run would make."""
     try:
         there = read_manifest(dataset_id) if exists(dataset_id) else None
@@ -195,7 +195,7 @@ def _is_made(setting: Setting, seed: int, dataset_id: DatasetId) -> bool:
     return (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash) == wanted
 
 
-def _target(setting: Setting, execution: Execution, seed: int, dataset_id: DatasetId) -> LogTarget | None:
+def _target(setting: RunSpec, execution: Execution, seed: int, dataset_id: DatasetId) -> LogTarget | None:
     if execution.log is None:
         return None
     title = f"{setting.method}-seed{seed}"
@@ -211,10 +211,10 @@ def collect_members(advance: Advance, *, stack: _Stack, execution: Execution) ->
         if not execution.overwrite and all(_is_made(setting, seed, one) for seed, one in members):
             return  # by another process, while this one was starting
         journals = [
-            Journal(folder, opened.enter_context(open_log(_target(setting, execution, *member))))
+            DatasetSink(folder, opened.enter_context(open_log(_target(setting, execution, *member))))
             for folder, member in zip(folders, members, strict=True)
         ]
-        collector = setting.kind(setting.space, setting.config, stack.seeds, stack.device)
+        collector = setting.kind(setting.sizes, setting.config, stack.seeds, stack.device)
         checkpoints = stack.checkpoints(execution.checkpoint_every)
         run_collection(collector, setting.loop, facts, journals, advance, checkpoints)
         summaries, state = collector.summary(), digest(collector.state_dict())
@@ -255,7 +255,7 @@ def _description(domain: Domain, method: str) -> str:
     return f"{explored}: the rewards are all 0. {way} rewards from infos/physics.{excluded}"
 
 
-def _command(setting: Setting, seed: int, dataset_id: DatasetId) -> str:
+def _command(setting: RunSpec, seed: int, dataset_id: DatasetId) -> str:
     options = {"--domain": setting.domain, "--method": setting.method, "--seed": str(seed), "--profile": setting.profile}
     if dataset_id != default_id(setting.domain, setting.method, seed):
         options["--dataset-id"] = str(dataset_id)

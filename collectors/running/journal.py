@@ -16,7 +16,7 @@ from cudc_bench.execution.runlog import RunLog
 from cudc_bench.files import sync
 
 
-class Journal:
+class DatasetSink:
     """The sink of one member in a folder, which a later process can take up again.
 
     Args:

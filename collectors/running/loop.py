@@ -20,7 +20,7 @@ from cudc_bench.learning.checks import member_rows
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.interaction import EpisodeStore, Interaction
-from cudc_bench.settings.config import LATER, Config, NonNegativeInt, PositiveInt, Precision
+from cudc_bench.settings.config import ADDED_LATER, Config, NonNegativeInt, PositiveInt, Precision
 from cudc_bench.settings.profiles import PAPER_STEPS
 
 from ..base import Collector
@@ -43,7 +43,7 @@ class CollectConfig(Config):
     seed_steps: NonNegativeInt = 4_000
     update_every: PositiveInt = 2
     measure_every: PositiveInt = 1_000
-    precision: Precision = field(default="float32", metadata=LATER)
+    precision: Precision = field(default="float32", metadata=ADDED_LATER)
 
 
 class Sink(Protocol):
@@ -70,7 +70,7 @@ class ResumableSink(Sink, EpisodeStore, Protocol):
     """A sink whose episodes outlive the process, for runs with checkpoints."""
 
 
-class Watcher(Protocol):
+class Callback(Protocol):
     """Looks at every update of a run."""
 
     def after_update(self, batch: Batch) -> None:
@@ -85,7 +85,7 @@ class Watcher(Protocol):
 
 def run_collection(
     collector: Collector, config: CollectConfig, domain: Domain, sinks: Sequence[Sink], advance: Callable[[int], None],
-    checkpoints: Checkpoints | None = None, watcher: Watcher | None = None,
+    checkpoints: Checkpoints | None = None, callback: Callback | None = None,
 ) -> None:  # fmt: skip
     """Collect ``config.steps`` steps for every member. The environment's reward is never even computed.
 
@@ -106,18 +106,20 @@ def run_collection(
         Interrupted: the process was asked to leave; the state after the last step is kept.
     """
     set_precision(collector, config.precision)
-    _Run(collector, config, domain, sinks, watcher).run(advance, checkpoints)
+    _Run(collector, config, domain, sinks, callback).run(advance, checkpoints)
 
 
 class _Run(Interaction):
     """A run after some steps. The arguments are those of :func:`run_collection`."""
 
-    def __init__(self, collector: Collector, config: CollectConfig, domain: Domain, sinks: Sequence[Sink], watcher: Watcher | None) -> None:
+    def __init__(
+        self, collector: Collector, config: CollectConfig, domain: Domain, sinks: Sequence[Sink], callback: Callback | None
+    ) -> None:
         super().__init__(
             collector, domain, config, getattr(collector, "random", {}).values(),
             learns=collector.learns, quantities=bool(domain.descriptors), skill=collector.skill_size,
         )  # fmt: skip
-        self._collector, self._config, self._sinks, self._watcher = collector, config, sinks, watcher
+        self._collector, self._config, self._sinks, self._watcher = collector, config, sinks, callback
         self._skills = np.empty((len(collector.seeds), domain.episode_length + 1, collector.skill_size), np.float32)
         # Of the quantities of the episode that is under way, those from ``counted`` on are not in ``visits`` yet.
         self._visits = [Visits(domain) for _ in collector.seeds] if domain.descriptors else []

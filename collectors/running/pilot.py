@@ -33,9 +33,9 @@ from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.profiles import Profile, resolve_profile
 
-from .journal import Journal
+from .journal import DatasetSink
 from .loop import run_collection
-from .setting import Setting, settle
+from .run_spec import RunSpec, resolve
 from .thresholds import read_thresholds, settings_key, thresholds_path, write_thresholds
 
 SEED = 0  # kept apart from the seeds of datasets
@@ -76,7 +76,7 @@ def pilot(
     chosen = resolve_profile(profile)
     execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh)
     check_domain(domain)
-    found = [settle(name, domain, chosen, settings, piloting=True) for name in _wanting(methods, domain, chosen, settings)]
+    found = [resolve(name, domain, chosen, settings, piloting=True) for name in _wanting(methods, domain, chosen, settings)]
     for one in found:
         check_precision(one.kind, one.method, one.loop.precision, execution.device)
     path = thresholds_path()
@@ -125,7 +125,7 @@ class _Stack:
     """One method, and where its run is kept: in a folder of its own below that of all pilots."""
 
     folder: Path
-    setting: Setting
+    setting: RunSpec
     device: str
 
     @property
@@ -170,8 +170,8 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
         if execution.fresh:
             checkpoints.remove()
         place.mkdir(parents=True, exist_ok=True)
-        collector = kind(setting.space, setting.config, [SEED], device)
-        medians, journal = _Medians(), Journal(place, nowhere)
+        collector = kind(setting.sizes, setting.config, [SEED], device)
+        medians, journal = _Medians(), DatasetSink(place, nowhere)
         try:
             run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
             journal.close()
@@ -204,7 +204,7 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
     )
 
 
-def _check(values: torch.Tensor, setting: Setting, last: int, horizon: int) -> None:
+def _check(values: torch.Tensor, setting: RunSpec, last: int, horizon: int) -> None:
     """Refuse a pilot that says nothing.
 
     Raises:

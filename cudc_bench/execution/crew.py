@@ -52,7 +52,7 @@ class Crew(Generic[T]):
             is_over: asked while nothing is under way: whether no task will come any more.
             each_round: called five times a second, or more often.
         """
-        with interrupts.leave_well(self.ask, self._saves):
+        with interrupts.leaving_gracefully(self.ask, self._saves):
             try:
                 while True:
                     if interrupts.requested():

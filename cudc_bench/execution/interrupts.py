@@ -70,7 +70,7 @@ def interrupted(where: str) -> Interrupted:
 
 
 @contextmanager
-def leave_well(pass_on: Callable[[], None] = lambda: None, saves: bool = True) -> Iterator[None]:
+def leaving_gracefully(pass_on: Callable[[], None] = lambda: None, saves: bool = True) -> Iterator[None]:
     """Within this context the first SIGINT or SIGTERM only asks; outside the main thread and in workers, nothing changes.
 
     Work in several stages, each with such a context, needs one around all: a request may come when a stage has looked for the last time.

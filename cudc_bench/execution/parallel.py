@@ -102,7 +102,7 @@ def run_jobs(function: Callable[..., Any], jobs: list[Job], *, unit: str, worker
     with bars([(job.description, job.total) for job in jobs], unit) as advances:
         if min(workers, len(jobs)) > 1:
             return _run_in_processes(lambda: Worker(partial(_work, function, threads)), jobs, advances, workers)
-        with interrupts.leave_well():
+        with interrupts.leaving_gracefully():
             return [_call(function, job, threads, advance) for job, advance in zip(jobs, advances, strict=True)]
 
 
@@ -133,7 +133,7 @@ def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, 
 
         jobs = [Job(description, 1)] * len(functions)
         # Outside of both, so that a request is not forgotten that comes when the last function ends.
-        with warnings.catch_warnings(), interrupts.leave_well(saves=False):
+        with warnings.catch_warnings(), interrupts.leaving_gracefully(saves=False):
             # Python warns of every thread; those of NumPy's libraries are made for it.
             warnings.simplefilter("ignore", DeprecationWarning)
             try:
@@ -185,7 +185,7 @@ def _run_in_processes(
             if not isinstance(news.error, interrupts.Interrupted) and crew.is_busy:
                 say(f"{job.description} failed, the others that have begun go on: {news.error}")
 
-    with interrupts.leave_well():
+    with interrupts.leaving_gracefully():
         crew.work(next_task, hear)
         return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
 

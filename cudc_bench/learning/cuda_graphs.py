@@ -89,7 +89,7 @@ class _Captured(Generic[T]):
         return self._result
 
 
-class Updates:
+class Updater:
     """Draws minibatches and has a learner learn from them.
 
     Args:
@@ -122,7 +122,7 @@ class Updates:
         return {}, self._captured[plan](update)
 
 
-class Acts:
+class ActionRunner:
     """Asks a learner for actions, one observation of each member at a time.
 
     Args:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from cudc_bench.errors import UsageError
-from cudc_bench.learning.networks import MemberRandom, Trained, adam, bf16_products, minimise
+from cudc_bench.learning.networks import MemberRandom, Trainable, adam, bf16_products, minimise
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import Precision
 
@@ -82,7 +82,7 @@ class Learner(MemberStack, nn.Module):
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
         self.precision: Precision = "float32"
 
-    def add_optimiser(self, name: str, trained: Sequence[Trained], learning_rate: float) -> None:
+    def add_optimiser(self, name: str, trained: Sequence[Trainable], learning_rate: float) -> None:
         """One Adam over some modules, under a name."""
         self.optimisers[name] = adam(trained, learning_rate)
 

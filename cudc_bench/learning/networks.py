@@ -240,10 +240,10 @@ def frozen(module: nn.Module) -> Iterator[None]:
 
 
 ModuleT = TypeVar("ModuleT", bound=nn.Module)
-Trained = nn.Module | nn.Parameter | tuple[nn.Module, float]
+Trainable = nn.Module | nn.Parameter | tuple[nn.Module, float]
 
 
-def adam(trained: Sequence[Trained], learning_rate: float) -> torch.optim.Adam:
+def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam:
     """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate.
 
     On CUDA, where a graph would keep a number for ever, learning rates are tensors.

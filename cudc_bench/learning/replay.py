@@ -32,7 +32,7 @@ class Batch:
         skill: the skill (E, B, K) that a_t followed; None for methods without skills.
         next_action: a_{t+k} (E, B, A), for algorithms that ask for it.
         nearer_observation, nearer_horizon: s_{t+k'} (E, B, S) and k' ≤ k (E, B), int64, for methods that ask for a second end.
-        kept: what a method computed for one step of its update and needs in a later one: values by name, or an object of its own.
+        cache: what a method computed for one step of its update and needs in a later one: values by name, or an object of its own.
         signal: what a method compares with the threshold that a pilot measures (E, B); set by the update, where there is one.
     """
 
@@ -46,7 +46,7 @@ class Batch:
     next_action: Tensor | None = None
     nearer_observation: Tensor | None = None
     nearer_horizon: Tensor | None = None
-    kept: Any = field(default_factory=dict)
+    cache: Any = field(default_factory=dict)
     signal: Tensor | None = None
 
 

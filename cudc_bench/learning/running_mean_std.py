@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 
-class RunningMoments(nn.Module):
+class RunningMeanStd(nn.Module):
     """Mean and variance of all numbers seen, merged batch by batch (Chan, Golub, LeVeque 1979).
 
     They start as mean 0 and variance 1 with a weight of 1e-4, and each batch enters with its unbiased variance, as in URLB and in the

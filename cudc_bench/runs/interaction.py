@@ -20,7 +20,7 @@ from cudc_bench.errors import UnusableError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.learning.checks import check_actions, check_simulated
-from cudc_bench.learning.cuda_graphs import Acts, Updates, graphs_for
+from cudc_bench.learning.cuda_graphs import ActionRunner, Updater, graphs_for
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.seeding import episode_seed
@@ -104,7 +104,7 @@ class Interaction(ABC):
         self._simulators = make_simulators(domain.name, members)
         self._first_actions = MemberRandom(seeds, "first actions")
         graphs = graphs_for(learner, learner.device)
-        self._acts = Acts(self.act, random, learner.device, graphs)
+        self._acts = ActionRunner(self.act, random, learner.device, graphs)
         self.replay: Episodes | None = None
         if learns:
             episodes = math.ceil(pace.steps / length)
@@ -112,7 +112,7 @@ class Interaction(ABC):
                 members, episodes, episodes * length, domain.observation_size, domain.action_size,
                 MemberRandom(seeds, "replay", learner.device), skill=skill, rewards=rewards,
             )  # fmt: skip
-            self._update = Updates(learner, self.draw, self.replay.random, graphs)
+            self._update = Updater(learner, self.draw, self.replay.random, graphs)
         self.reset_seeds = [0] * members
         self.observations = np.empty((members, length + 1, domain.observation_size), np.float32)
         self.actions = np.empty((members, length, domain.action_size), np.float32)

@@ -19,7 +19,7 @@ from cudc_bench.errors import UsageError, nearest
 
 ConfigT = TypeVar("ConfigT")
 # Of a field that came after data had been made without it: its default is not written down, so that what was made before is still the same.
-LATER = {"later": True}
+ADDED_LATER = {"later": True}
 # Of a field that counts environment steps, with a default for the paper's run: smaller profiles change it in proportion to theirs.
 WITH_STEPS = {"scales_with": "steps"}
 
@@ -29,7 +29,7 @@ NonNegativeInt = Annotated[int, Field(ge=0, le=10**10)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
+UnitInterval = Annotated[float, Field(ge=0, le=1)]
 Precision = Literal["float32", "tf32", "bf16"]
 _ADAPTERS: dict[type, dict[str, TypeAdapter[Any]]] = {}  # of configurations that were asked for: to make them takes milliseconds
 
@@ -129,7 +129,7 @@ def as_dict(*configs: Any, later: bool = False) -> dict[str, Any]:
 
     Args:
         configs: frozen dataclasses.
-        later: also the defaults of ``LATER`` fields, which what is written down leaves out.
+        later: also the defaults of ``ADDED_LATER`` fields, which what is written down leaves out.
     """
     merged: dict[str, Any] = {}
     for config in configs:

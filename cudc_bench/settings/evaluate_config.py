@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cudc_bench.errors import UsageError
-from cudc_bench.settings.config import LATER, Config, NonNegativeFloat, NonNegativeInt, PositiveInt, Precision, as_dict, build
+from cudc_bench.settings.config import ADDED_LATER, Config, NonNegativeFloat, NonNegativeInt, PositiveInt, Precision, as_dict, build
 from cudc_bench.settings.profiles import PAPER_STEPS, Profile
 
 
@@ -34,7 +34,7 @@ class EvaluateConfig(Config):
     final_episodes: PositiveInt = 50
     milestones: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (100_000, 500_000)
     final_evaluations: PositiveInt = 3
-    precision: Precision = field(default="float32", metadata=LATER)
+    precision: Precision = field(default="float32", metadata=ADDED_LATER)
 
     @property
     def points(self) -> list[int]:
@@ -78,7 +78,7 @@ class OnlineConfig(Config):
     evaluations: PositiveInt = 10
     evaluation_episodes: PositiveInt = 10
     final_episodes: PositiveInt = 50
-    precision: Precision = field(default="float32", metadata=LATER)
+    precision: Precision = field(default="float32", metadata=ADDED_LATER)
 
     @property
     def points(self) -> list[int]:

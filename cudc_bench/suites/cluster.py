@@ -166,7 +166,7 @@ def _drive(
             queue.fail(job, news.ended.why)
             display.line(f"failed {job.name}: {news.ended.why} See {log}")
 
-    with interrupts.leave_well():
+    with interrupts.leaving_gracefully():
         while tasks or pilots:
             if interrupts.requested() and asked is None:
                 asked = time.monotonic()

@@ -121,7 +121,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     if retention is not None:
         retention.job_done(None, display.line)
     crew = Crew(lambda: job_worker(share, common), workers)
-    with interrupts.leave_well(), display.shown():
+    with interrupts.leaving_gracefully(), display.shown():
         crew.work(start, hear, lambda: queue.is_over, lambda: display.refresh(running))
         if interrupts.requested():
             done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"

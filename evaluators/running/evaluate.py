@@ -31,7 +31,7 @@ from .plans import Wanted, check_plans, check_sizes, make_plans, sizes_of
 from .runs import CHECKPOINTS, Run, Stack, is_recorded, record_of, stackable
 
 
-@interrupts.leave_well()  # also between its stages
+@interrupts.leaving_gracefully()  # also between its stages
 def evaluate(
     algo: str | Sequence[str] = "td3",
     domain: str = "walker",

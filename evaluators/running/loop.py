@@ -19,7 +19,7 @@ from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.parallel import cores, torch_threads
 from cudc_bench.execution.runlog import RunLog
 from cudc_bench.learning.checks import check_actions, check_simulated, member_rows
-from cudc_bench.learning.cuda_graphs import Updates, graphs_for
+from cudc_bench.learning.cuda_graphs import Updater, graphs_for
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Episodes
 from cudc_bench.settings.evaluate_config import EvaluateConfig
@@ -247,7 +247,7 @@ def run_evaluation(
     """
     set_precision(agent, config.precision)
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
-    updates = Updates(
+    updates = Updater(
         agent,
         lambda measure: data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action),
         data.random,

@@ -43,7 +43,7 @@ _PATIENCE = 60.0  # seconds; whoever holds the lock writes a file
 
 
 @dataclass(frozen=True)
-class Plan:
+class ReferencePlan:
     """The references of one command.
 
     Attributes:
@@ -95,7 +95,7 @@ class Member:
 class Stack:
     """Members that are trained side by side."""
 
-    plan: Plan
+    plan: ReferencePlan
     members: list[Member]
 
     @property
@@ -172,7 +172,7 @@ class RandomActions:
         return self._random.uniform(observation.shape[1], self._action) * 2.0 - 1.0
 
 
-@interrupts.leave_well()
+@interrupts.leaving_gracefully()
 def make_references(
     domain: str = "walker",
     tasks: Sequence[str] | None = None,
@@ -241,7 +241,7 @@ def make_references(
 
 def _plan(
     domain: str, tasks: Sequence[str] | None, seeds: Sequence[int], profile: str, settings: dict[str, Any], output: str | Path, device: str
-) -> Plan:
+) -> ReferencePlan:
     """Everything that is needed.
 
     Raises:
@@ -255,10 +255,10 @@ def _plan(
     results = check_folder(output, "the output")
     check_precision(TD3, "td3", loop.precision, device)
     found = check_tasks(check_domain(domain), tasks)
-    return Plan(domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, device, results)
+    return ReferencePlan(domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, device, results)
 
 
-def _done(plan: Plan, task: str) -> bool:
+def _done(plan: ReferencePlan, task: str) -> bool:
     """Whether this very reference is there already.
 
     Raises:
@@ -278,7 +278,7 @@ def _done(plan: Plan, task: str) -> bool:
     )
 
 
-def _target(plan: Plan, one: Member, execution: Execution) -> LogTarget | None:
+def _target(plan: ReferencePlan, one: Member, execution: Execution) -> LogTarget | None:
     if execution.log is None:
         return None
     place, title = f"{domain_namespace(plan.domain)}/{one.task}/seed{one.seed}", f"{one.task}-seed{one.seed}"
@@ -347,7 +347,7 @@ def _finished(checkpoints: Checkpoints) -> dict[str, Any] | None:
     return found[0] if found else None
 
 
-def _put_together(plan: Plan, task: str, stacks: Sequence[Stack], overwrite: bool) -> bool:
+def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], overwrite: bool) -> bool:
     """Write the reference of a task if all of its trainings are at their end; whichever job is the last to finish one does it.
 
     Returns:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
 from cudc_bench.learning.knn import neighbour_distances
-from cudc_bench.learning.networks import MemberRandom, Trained, mlp, trunk
+from cudc_bench.learning.networks import MemberRandom, Trainable, mlp, trunk
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import PositiveInt
 
@@ -40,13 +40,13 @@ class RE3(DDPG):
     family = "entropy"
     citation = "Seo et al. 2021"
 
-    def build(self, random: MemberRandom) -> list[Trained]:
+    def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config
         if config.neighbours >= config.batch_size:
             raise ValueError(f"{config.neighbours} neighbours cannot be found in a batch_size of {config.batch_size}")
-        hidden = mlp(random, self.space.observation, config.width, output=torch.relu)
+        hidden = mlp(random, self.sizes.observation, config.width, output=torch.relu)
         self.encoder = nn.Sequential(hidden, trunk(random, config.width, config.feature_dim)).requires_grad_(False)
-        return []  # nothing to train: there is no belief step
+        return []  # nothing to train: there is no auxiliary model
 
     def reward(self, batch: Batch) -> Tensor:
         distances = neighbour_distances(self.encoder(batch.observation), self.config.neighbours, exclude_self=True)

@@ -19,7 +19,7 @@ from cudc_bench.data.diagnostics import read_measures
 from cudc_bench.errors import UsageError
 from cudc_bench.text import plain
 
-from ..intake.chosen import choose
+from ..intake.select import select
 from ..methods import LOSSES, METHOD_ORDER
 from ..numbers.table import differing
 from ..numbers.words import ordered, slug, span
@@ -132,7 +132,7 @@ def compare_stored(
             imported).
         RunError: a dataset's diagnostics are damaged.
     """
-    found, remarks = choose(dataset_ids, domain, methods, others=_is_other, refuse=_refuse, lacks=_lacks, verb="has diagnostics")
+    found, remarks = select(dataset_ids, domain, methods, others=_is_other, refuse=_refuse, lacks=_lacks, verb="has diagnostics")
     comparisons, doubts = compare([Run(one, manifest, *read_diagnostics(one)) for one, manifest in found])
     absent = [f"{comparison.slug}: {what}" for comparison in comparisons for what in _absent(comparison)]
     return comparisons, [*remarks, *doubts, *absent]

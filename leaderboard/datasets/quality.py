@@ -25,7 +25,7 @@ from cudc_bench.errors import UsageError
 from cudc_bench.execution.progress import Advance, bars
 from cudc_bench.text import plain
 
-from ..intake.chosen import choose
+from ..intake.select import select
 from ..methods import METHOD_ORDER
 from ..numbers.words import ordered, slug
 from .diagnostics import group_of
@@ -139,7 +139,7 @@ def measure_stored(
         UsageError: there is no such dataset, or one that was named is labelled or holds no physics states.
         RunError: a dataset is damaged.
     """
-    found, remarks = choose(
+    found, remarks = select(
         dataset_ids, domain, methods, others=lambda manifest: manifest.base is not None, refuse=_refuse, lacks=_lacks,
         verb="can be measured",
     )  # fmt: skip

@@ -12,8 +12,8 @@ from .figures import Intervals
 from .grid import Column, Entry, Grid, Line, Part
 from .missing import Wanted
 from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing, unit_of
-from .plans import STUDY_METHODS
 from .study import Study, known_tasks
+from .study_specs import STUDY_METHODS
 from .table import Block
 from .words import group_slug, ordered, short
 

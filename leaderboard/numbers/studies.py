@@ -22,11 +22,11 @@ from .grid import Column, Entry, Grid, Line, Part, with_records
 from .learners import build_learners
 from .missing import Wanted
 from .overall import Overall
-from .plans import PLANS, Plan
 from .published import CITATION, MEAN, beside, caption, reported_relative, scale
 from .scale import LABELS, references_caption
 from .sizes import build_sizes
 from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
+from .study_specs import PLANS, StudySpec
 from .table import ENOUGH_SEEDS, Block, Runs, build_cell, mark_best
 from .words import ordered, short
 
@@ -56,7 +56,7 @@ def build_studies(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[S
     return [*found, *build_sizes(blocks), *build_learners(blocks, overall), *build_components(blocks)]
 
 
-def _of_plan(block: Block, plan: Plan) -> Study | None:
+def _of_plan(block: Block, plan: StudySpec) -> Study | None:
     theirs = {canonical(label): label for label in plan.methods}
     chosen = {(theirs[method], task): found for (method, task), found in block.records.items() if method in theirs}
     records = tuple(one for found in chosen.values() for one in found)
@@ -94,7 +94,7 @@ def _of_plan(block: Block, plan: Plan) -> Study | None:
     )
 
 
-def _runs(block: Block, plan: Plan, chosen: dict[tuple[str, str], Sequence[Record]]) -> Runs:
+def _runs(block: Block, plan: StudySpec, chosen: dict[tuple[str, str], Sequence[Record]]) -> Runs:
     methods = tuple(label for label in plan.methods if any(method == label for method, _ in chosen))
     tasks = ordered({task for _, task in chosen}, block.tasks)
     cells: dict[tuple[int, str, str], Entry] = {}
@@ -187,7 +187,7 @@ def _ends_relative(runs: Runs, milestone: int, columns: Sequence[Sequence[str]])
     return lines
 
 
-def _beside(runs: Runs, plan: Plan) -> list[Grid]:
+def _beside(runs: Runs, plan: StudySpec) -> list[Grid]:
     """The paper's returns beside ours, if it has those of a method that is the study's own."""
     parts, own = [], False
     for milestone in runs.milestones:
@@ -225,7 +225,7 @@ def _beside_relative(runs: Runs, relative: Grid) -> list[Grid]:
     return [Grid("paper", "Beside the paper", text, "milestone", ("task", "method"), columns, tuple(parts), long=True)]
 
 
-def _wanted(block: Block, plan: Plan, runs: Runs) -> tuple[Wanted, ...]:
+def _wanted(block: Block, plan: StudySpec, runs: Runs) -> tuple[Wanted, ...]:
     """Every method of the plan on all tasks, with the collector seeds that its own methods have."""
     own = [
         one

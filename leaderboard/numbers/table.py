@@ -24,9 +24,9 @@ from cudc_bench.text import plain
 from ..methods import METHOD_ORDER, canonical
 from .columns import column, submitted_columns
 from .grid import Column, Entry, Grid, Line, Part
-from .plans import STUDY_METHODS
 from .scale import CEILING, FLOOR, References, references_caption, serving
 from .statistics import SIGNIFICANCE, holm
+from .study_specs import STUDY_METHODS
 from .words import extent, ordered, short, slug, span
 
 ENOUGH_SEEDS = 5

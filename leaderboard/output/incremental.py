@@ -31,7 +31,7 @@ Contents = Mapping[str, str | bytes]
 
 
 @dataclass(frozen=True)
-class Part:
+class Target:
     """Files that are made together.
 
     Attributes:
@@ -67,7 +67,7 @@ def digest(texts: Iterable[str]) -> str:
 
 
 def build(
-    output: Path, parts: Sequence[Part], whole: bool = True, last: Callable[[Mapping[str, Sequence[str]]], Part] | None = None
+    output: Path, parts: Sequence[Target], whole: bool = True, last: Callable[[Mapping[str, Sequence[str]]], Target] | None = None
 ) -> list[Path]:
     """Bring the files of an output folder up to date.
 
@@ -107,7 +107,7 @@ def holds(output: Path, folder: str, name: str) -> bool:
     return f"{folder}:{name}" in _read(output)
 
 
-def _bring(output: Path, parts: Sequence[Part], ledger: Mapping[str, Any]) -> dict[str, Any]:
+def _bring(output: Path, parts: Sequence[Target], ledger: Mapping[str, Any]) -> dict[str, Any]:
     """Make the files of those parts that are not as they should be; the ledger's entries of all of them."""
     keys = {part.place: part.key for part in parts}
     stale = [part for part in parts if not _is_current(output, part, keys[part.place], ledger)]
@@ -145,7 +145,7 @@ def _sum(path: Path) -> str | None:
         return None
 
 
-def _is_current(output: Path, part: Part, key: str, ledger: Mapping[str, Any]) -> bool:
+def _is_current(output: Path, part: Target, key: str, ledger: Mapping[str, Any]) -> bool:
     entry = ledger.get(part.place)
     if entry is None or (entry["key"], entry["folder"]) != (key, part.folder):
         return False

@@ -28,7 +28,7 @@ from ..show.figures.quality import draw_density
 from ..show.figures.runs import curve_files, draw_bars, task_files
 from ..site.pages import site_files
 from ..site.parts import Run, Site, run_of
-from .incremental import Part, build, digest, holds
+from .incremental import Target, build, digest, holds
 from .measured import find_local
 
 
@@ -75,25 +75,25 @@ def make_report(
     missing = find_missing(tables, [one for study in studies for one in study.wanted])
     files: list[Path] = []
     if folder is not None:
-        parts = [Part(table.slug, partial(table_files, table), (*loaded.inputs(table.records), *_measures(table))) for table in tables]
+        parts = [Target(table.slug, partial(table_files, table), (*loaded.inputs(table.records), *_measures(table))) for table in tables]
         for one in overall:
             compared = [table for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm)]
             inputs = [text for table in compared for text in (*loaded.inputs(table.records), *_measures(table))]
-            parts.append(Part(one.slug, partial(overall_files, one), tuple(inputs)))
+            parts.append(Target(one.slug, partial(overall_files, one), tuple(inputs)))
         every = tuple(map(repr, sorted(references.items())))
         for study in studies:
             inputs = [*loaded.inputs(study.records), study.caption, *study.notes, *every]
-            parts.append(Part(study.folder, partial(study_files, study), tuple(inputs), study.name))
+            parts.append(Target(study.folder, partial(study_files, study), tuple(inputs), study.name))
         hidden = tables_of(blocks, studies=True)
         local, remarks = find_local(datasets_of([*tables, *hidden]), folder) if datasets else ({}, [])
         problems += remarks
 
-        def site_part(there: Mapping[str, Sequence[str]]) -> Part:
+        def site_part(there: Mapping[str, Sequence[str]]) -> Target:
             places = _places(loaded, paths)
             site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden)
             known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
                      (f"{word} {one.digest}" for word, one in local.items())]  # fmt: skip
-            return Part("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
+            return Target("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
 
         # A site over all records is not replaced by one over some of them.
         files = build(folder, parts, whole, None if not whole and holds(folder, "", "site") else site_part)

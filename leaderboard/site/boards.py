@@ -19,9 +19,9 @@ from ..numbers.scale import Scale, largest_return
 from ..numbers.statistics import student
 from ..numbers.table import Table, seed_scores
 from ..numbers.words import short, span
-from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page, bar, dots
+from .models import MISSING, Grid, Heading, Item, Line, Page, Section, bar, dots
 from .parts import (
-    Board,
+    ComparisonPage,
     Paper,
     brief,
     by_column,
@@ -46,7 +46,7 @@ _MOST_LINES = 200  # of problems on a page; a folder of other files gives one fo
 class Boards(Studies):
     """Builds them."""
 
-    def overview(self, boards: Sequence[Board]) -> Page:
+    def overview(self, boards: Sequence[ComparisonPage]) -> Page:
         """The first page."""
         first = boards[0]
         self.look(first)
@@ -61,16 +61,16 @@ class Boards(Studies):
             f" behind it. {', '.join(facts)}.",
             f"Shown here: {first.algorithm}, profile {brief(first.group)}. {self.summary(first)[0]}",
         )
-        exhibits = self.board(first)
-        choose = Exhibit(
+        sections = self.board(first)
+        choose = Section(
             "Comparisons",
             grids=(self._boards_grid(boards),),
             text=("Results of different profiles, settings or offline algorithms never share a table: each has a page of its own.",),
         )
         return Page("index.html", "Leaderboard of data collectors", (), lead, self.badges(first),
-                    (*exhibits[:1], choose, *exhibits[1:], *self._problems(), self._reading(boards), self._behind(records)))  # fmt: skip
+                    (*sections[:1], choose, *sections[1:], *self._problems(), self._reading(boards), self._behind(records)))  # fmt: skip
 
-    def _boards_grid(self, boards: Sequence[Board]) -> Grid:
+    def _boards_grid(self, boards: Sequence[ComparisonPage]) -> Grid:
         lines = [
             Line(
                 Item(brief(one.group), link=one.path),
@@ -84,15 +84,15 @@ class Boards(Studies):
                    Heading("runs"))  # fmt: skip
         return Grid("What may be compared, by profile with its settings and offline algorithm", "profile", columns, tuple(lines))
 
-    def _problems(self) -> tuple[Exhibit, ...]:
+    def _problems(self) -> tuple[Section, ...]:
         if not self.site.problems:
             return ()
         lines = [Item(problem) for problem in self.site.problems[:_MOST_LINES]]
         rest = len(self.site.problems) - len(lines)
-        return (Exhibit("Problems", lines=tuple(lines), text=(f"… and {rest:,} more.",) if rest else (), folded=len(lines) > 5,
+        return (Section("Problems", lines=tuple(lines), text=(f"… and {rest:,} more.",) if rest else (), folded=len(lines) > 5,
                         lead="What was left out of the tables, or is doubtful in them."),)  # fmt: skip
 
-    def _reading(self, boards: Sequence[Board]) -> Exhibit:
+    def _reading(self, boards: Sequence[ComparisonPage]) -> Section:
         scores = ", ".join(f"{domain.max_return:,.0f} on {domain.name}" for domain in DOMAINS.values())
         lines = (
             "A return is the undiscounted sum of an episode's rewards, a mean over evaluation episodes. Normalised, it is divided by the"
@@ -113,9 +113,9 @@ class Boards(Studies):
             " ranked with ours; σ counts the paper's standard deviations between them.",
             f"{MISSING} is a cell without any run.",
         )
-        return Exhibit("How to read it", lines=tuple(map(Item, lines)))
+        return Section("How to read it", lines=tuple(map(Item, lines)))
 
-    def _behind(self, records: Sequence[Record]) -> Exhibit:
+    def _behind(self, records: Sequence[Record]) -> Section:
         def grid(caption: str, first: str, names: Sequence[str], counts: Counter[tuple[str, ...]]) -> Grid:
             shown = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
             lines = [Line(Item(brief(key[0])), (*(Item(brief(text) or MISSING) for text in key[1:]), count(n))) for key, n in shown[:20]]
@@ -129,29 +129,29 @@ class Boards(Studies):
             (version(r, "cudc-bench"), commit(r), *(version(r, name) for name in packages)) for r in records
         )
         machines: Counter[tuple[str, ...]] = Counter((machine(r, "processor"), machine(r, "device"), machine(r, "system")) for r in records)
-        return Exhibit("Versions and machines behind it", grids=(
+        return Section("Versions and machines behind it", grids=(
             grid("Versions and commits of the code that trained", "cudc-bench", ("commit", *packages), codes),
             grid("Machines that trained", "processor", ("device", "system"), machines),
         ))  # fmt: skip
 
-    def summary(self, board: Board) -> tuple[str, ...]:
+    def summary(self, board: ComparisonPage) -> tuple[str, ...]:
         """What a comparison is about."""
         counts = (span([board.runs], "run"), span([len(board.methods)], "method"))
         domains = ", ".join(table.domain for table in board.tables)
         seeds = span([cell.n for table in board.tables for cell in table.cells.values()] or [0], "seed")
         return (f"{', '.join(counts)} on {domains}; {seeds} behind a cell.",)
 
-    def badges(self, board: Board) -> tuple[str, ...]:
+    def badges(self, board: ComparisonPage) -> tuple[str, ...]:
         """What to know before reading it."""
         return ("Preliminary: fewer than five seeds",) if board.preliminary else ()
 
-    def board(self, board: Board) -> tuple[Exhibit, ...]:
+    def board(self, board: ComparisonPage) -> tuple[Section, ...]:
         """All that a comparison shows."""
-        parts: list[Exhibit] = []
+        parts: list[Section] = []
         if board.overall is not None:
             parts += self._ranking(board, board.overall)
         matrix = tuple(self._matrix(board, milestone) for milestone in board.milestones)
-        parts.append(Exhibit(
+        parts.append(Section(
             "Methods and tasks", grids=matrix,
             text=("Each number leads to its runs, each task to its curves and intervals, each method to what it is.",),
         ))  # fmt: skip
@@ -166,18 +166,18 @@ class Boards(Studies):
             parts.append(_missing(missing))
         return tuple(parts)
 
-    def _ranking(self, board: Board, overall: Overall) -> list[Exhibit]:
+    def _ranking(self, board: ComparisonPage, overall: Overall) -> list[Section]:
         headline = overall.headline
         grids = [self._standings(board, one) for one in overall.comparisons if one.scope == headline.scope]
         figures = self.figure(board.slug, "intervals", f"Aggregates of each method with 95 % intervals, {headline.title}; numbers above.")
-        return [Exhibit(
+        return [Section(
             f"Ranking over {headline.scope}", grids=tuple(grids), figures=figures,
             downloads=self.downloads(board.slug, ("overall", "scores", "intervals")),
             text=(overall.caption, *headline.remarks, *(f"Left out: {line}" for line in headline.left_out)),
             lead=f"{PRELIMINARY}" if headline.preliminary else "",
         )]  # fmt: skip
 
-    def _standings(self, board: Board, comparison: Comparison) -> Grid:
+    def _standings(self, board: ComparisonPage, comparison: Comparison) -> Grid:
         standings = sorted(comparison.standings, key=lambda one: -one.estimates[LEAD].value)
         highs = [within.high for one in standings if (within := one.estimates[LEAD].interval)]
         largest = ceil(10 * max([*highs, *(one.estimates[LEAD].value for one in standings), 0.1]) - 1e-9) / 10
@@ -203,22 +203,22 @@ class Boards(Studies):
             Item(standing.seeds_text, standing.n),
         )
 
-    def _comparisons(self, board: Board, overall: Overall) -> list[Exhibit]:
+    def _comparisons(self, board: ComparisonPage, overall: Overall) -> list[Section]:
         headline = overall.headline
         found = []
         if overall.power_text:
             downloads = self.downloads(board.slug, ("power",))
-            found.append(Exhibit("What so many seeds can show", grids=_power(overall), text=(overall.power_text,), downloads=downloads))
+            found.append(Section("What so many seeds can show", grids=_power(overall), text=(overall.power_text,), downloads=downloads))
         figures = (
             *self.figure(board.slug, "profiles", f"Performance profiles, {headline.title}: share of runs above each score."),
             *self.figure(board.slug, "ranks", f"Probability of each rank by the mean, {headline.title}."),
         )
         if figures:
-            found.append(Exhibit("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
+            found.append(Section("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
         others = [one for one in overall.comparisons if one.scope != headline.scope]
         if others:
             parts = [
-                Exhibit(scope, grids=tuple(self._standings(board, one) for one in others if one.scope == scope),
+                Section(scope, grids=tuple(self._standings(board, one) for one in others if one.scope == scope),
                         text=tuple(line for one in others if one.scope == scope
                                    for line in (*one.remarks, *(f"Left out: {line}" for line in one.left_out))))
                 for scope in dict.fromkeys(one.scope for one in others)
@@ -227,10 +227,10 @@ class Boards(Studies):
                 board.slug, "domains", f"Mean score of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
             )
             downloads = self.downloads(board.slug, ("domains",))
-            found.append(Exhibit("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))
+            found.append(Section("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))
         pairs = tuple(self._pairs(one) for one in overall.comparisons if one.scope == headline.scope and one.pairs)
         if pairs:
-            found.append(Exhibit("Method against method", grids=pairs, text=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),), folded=True))
+            found.append(Section("Method against method", grids=pairs, text=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),), folded=True))
         return found
 
     def _pairs(self, comparison: Comparison) -> Grid:
@@ -247,7 +247,7 @@ class Boards(Studies):
                     tuple(Heading(method) for method in comparison.methods), tuple(lines), milestone=comparison.milestone,
                     filters="methods")  # fmt: skip
 
-    def _matrix(self, board: Board, milestone: int) -> Grid:
+    def _matrix(self, board: ComparisonPage, milestone: int) -> Grid:
         columns, groups = [], []
         for table in board.tables:
             groups.append((table.domain, len(table.tasks), domain_path(table)))
@@ -264,44 +264,44 @@ class Boards(Studies):
         )
         return Grid(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods")
 
-    def domain(self, board: Board, table: Table) -> Page:
+    def domain(self, board: ComparisonPage, table: Table) -> Page:
         """The page of a table."""
         single = replace(board, tables=(table,))
-        exhibits = [Exhibit(
+        sections = [Section(
             "Results", grids=tuple(self._matrix(single, milestone) for milestone in reversed(table.milestones)),
             downloads=self.downloads(table.slug, ("table",)), text=(table.caption,),
         )]  # fmt: skip
         curves = self.figure(table.slug, "curves", f"Learning curves on {table.domain}: return over gradient steps, a panel for each task.")
         if curves:
-            exhibits.append(Exhibit("Learning curves", figures=curves, downloads=self.downloads(table.slug, ("curves",))))
+            sections.append(Section("Learning curves", figures=curves, downloads=self.downloads(table.slug, ("curves",))))
         paper = beside_paper(table)
         if paper is not None:
             text = (paper.caption, "The numbers stand in the table above, behind the switch.")
-            exhibits.append(Exhibit("Beside the paper", text=text, downloads=self.downloads(table.slug, ("paper",))))
+            sections.append(Section("Beside the paper", text=text, downloads=self.downloads(table.slug, ("paper",))))
         bars = self.figure(table.slug, "bars", f"Mean returns on {table.domain} at each milestone, a panel for each task.")
         if bars:
-            exhibits.append(Exhibit("At the milestones", figures=bars, downloads=self.downloads(table.slug, ("bars",))))
-        exhibits += self.studies_list([study for study in self.site.studies if study.folder == table.slug])
+            sections.append(Section("At the milestones", figures=bars, downloads=self.downloads(table.slug, ("bars",))))
+        sections += self.studies_list([study for study in self.site.studies if study.folder == table.slug])
         own = {f"task-{task}" for task in table.tasks}
-        exhibits += self.further(table.slug, {"curves", "bars", *own}, {"table", "paper"})
-        exhibits.append(Exhibit("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
+        sections += self.further(table.slug, {"curves", "bars", *own}, {"table", "paper"})
+        sections.append(Section("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
         lead = (f"{domain_text(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
-        return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(exhibits))
+        return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(sections))
 
-    def task(self, board: Board, table: Table, task: str) -> Page:
+    def task(self, board: ComparisonPage, table: Table, task: str) -> Page:
         """The page of a task of a table."""
         largest = largest_return(table.domain, task)
         grids = [self._task_grid(table, milestone, task) for milestone in reversed(table.milestones)]
         name = f"task-{task}" if f"task-{task}.svg" in self.site.files.get(table.slug, ()) else "curves"
         what = f"Learning curves of all methods on {table.domain} {task}: mean return over gradient steps, band: one standard deviation."
-        exhibits = [
-            Exhibit("Results", grids=tuple(grids), text=(
+        sections = [
+            Section("Results", grids=tuple(grids), text=(
                 "Interval: 95 % of the mean, by Student's t over collector seeds; of few seeds it can pass what is possible. Seeds: a dot"
                 " for each, a bar at the mean"
                 + (f", from 0 to {largest:,.0f}" if largest else "") + ". Paper: as reported there, from another implementation, not to be"
                 " ranked with ours; difference in the paper's standard deviations.",
             )),
-            Exhibit("Learning curves", figures=self.figure(table.slug, name, what), downloads=self.downloads(table.slug, (name,))),
+            Section("Learning curves", figures=self.figure(table.slug, name, what), downloads=self.downloads(table.slug, (name,))),
         ]  # fmt: skip
         lead = (
             f"{table.algorithm}, profile {brief(table.group)}."
@@ -310,9 +310,9 @@ class Boards(Studies):
         )
         others = tuple(Item(one, link=task_path(table, one)) for one in table.tasks if one != task)
         if others:
-            exhibits.append(Exhibit(f"Other tasks of {table.domain}", lines=others))
+            sections.append(Section(f"Other tasks of {table.domain}", lines=others))
         crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
-        return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(exhibits))
+        return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(sections))
 
     def _task_grid(self, table: Table, milestone: int, task: str) -> Grid:
         largest, scale = largest_return(table.domain, task), self.scale(table, task)
@@ -374,7 +374,7 @@ def _power(overall: Overall) -> tuple[Grid, ...]:
     )
 
 
-def _missing(missing: Sequence[Missing]) -> Exhibit:
+def _missing(missing: Sequence[Missing]) -> Section:
     lines, code = [], []
     for one in missing:
         what = f"{one.method} on {one.domain}: {', '.join(one.tasks)}, {span([len(one.seeds)], 'seed')}"
@@ -382,7 +382,7 @@ def _missing(missing: Sequence[Missing]) -> Exhibit:
             code.append((what, one.command))
         else:
             lines.append(Item(f"{what} (by the commands of its other records)"))
-    return Exhibit("What is missing", lead="Runs that would make the comparison complete, with the commands that make them.",
+    return Section("What is missing", lead="Runs that would make the comparison complete, with the commands that make them.",
                    lines=tuple(lines), code=tuple(code), folded=len(missing) > 5)  # fmt: skip
 
 

@@ -18,9 +18,9 @@ from ..numbers.statistics import student
 from ..numbers.table import Table
 from ..numbers.words import short
 from .methods import describe
-from .models import MISSING, Exhibit, Figure, Grid, Heading, Item, Line, Page
+from .models import MISSING, Figure, Grid, Heading, Item, Line, Page, Section
 from .parts import (
-    Board,
+    ComparisonPage,
     Parts,
     brief,
     commit,
@@ -52,7 +52,7 @@ class Catalogue(Parts):
             )))  # fmt: skip
         columns = (Heading("explores by", number=False), Heading("from", number=False), Heading("datasets"), Heading("runs"))
         grid = Grid("Methods with results", "method", columns, tuple(lines), filters="methods")
-        return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Exhibit("All methods", grids=(grid,)),))
+        return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Section("All methods", grids=(grid,)),))
 
     def _registered(self, method: str) -> str:
         """The name under which a column's method may be registered."""
@@ -67,23 +67,23 @@ class Catalogue(Parts):
             ("explores by", known.family), ("from", known.citation), ("registered by", known.package), ("data", origins),
         ) if text]  # fmt: skip
         text = known.text or ("Nothing more is known of it here: no collector of this name is installed, or its source cannot be read.",)
-        exhibits = [Exhibit("What it is", prose=text, facts=tuple(facts))]
+        sections = [Section("What it is", prose=text, facts=tuple(facts))]
         for board in self.site.boards:
             if not any(method in table.methods for table in (*board.tables, *board.hidden)):
                 continue
-            exhibits.append(self._method_results(board, method))
+            sections.append(self._method_results(board, method))
         datasets = [dataset for dataset in self.site.datasets if dataset.method == method]
-        exhibits.append(Exhibit("Datasets", grids=(self._datasets_grid(datasets),)))
+        sections.append(Section("Datasets", grids=(self._datasets_grid(datasets),)))
         crumbs = (("Overview", "index.html"), ("Methods", "methods/index.html"))
-        return Page(method_path(method), method, crumbs, (), (), tuple(exhibits))
+        return Page(method_path(method), method, crumbs, (), (), tuple(sections))
 
-    def _method_results(self, board: Board, method: str) -> Exhibit:
+    def _method_results(self, board: ComparisonPage, method: str) -> Section:
         tables = [table for table in (*board.tables, *board.hidden) if method in table.methods]
         grids = [self._method_grid(board, tables, method, milestone) for milestone in board.milestones]
         facts = _standings(board, method)
-        return Exhibit(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
+        return Section(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
 
-    def _method_grid(self, board: Board, tables: Sequence[Table], method: str, milestone: int) -> Grid:
+    def _method_grid(self, board: ComparisonPage, tables: Sequence[Table], method: str, milestone: int) -> Grid:
         referenced = any(table.references for table in tables)
         lines = []
         for table in tables:
@@ -100,7 +100,7 @@ class Catalogue(Parts):
         return Grid(caption, "task", columns, tuple(lines), milestone=milestone)
 
     @staticmethod
-    def _task_link(board: Board, table: Table, task: str) -> str | None:
+    def _task_link(board: ComparisonPage, table: Table, task: str) -> str | None:
         shown = any(one.slug == table.slug and task in one.tasks for one in board.tables)
         return task_path(table, task) if shown else None
 
@@ -108,7 +108,7 @@ class Catalogue(Parts):
         """The list of datasets."""
         grid = self._datasets_grid(self.site.datasets, methods=True)
         lead = ("What was collected without rewards, and then trained on. One dataset is one seed of one method.",)
-        return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), (Exhibit("All datasets", grids=(grid,)),))
+        return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), (Section("All datasets", grids=(grid,)),))
 
     def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> Grid:
         lines = []
@@ -138,25 +138,25 @@ class Catalogue(Parts):
         labelled = Grid("What was trained on", "task", (Heading("dataset", number=False), Heading("fingerprint", number=False)), tuple(
             Line(Item(task), (Item(one), Item(fingerprint))) for task, one, fingerprint in dataset.labelled
         ))  # fmt: skip
-        exhibits = [Exhibit("What it is", facts=tuple(facts), grids=(labelled,))]
+        sections = [Section("What it is", facts=tuple(facts), grids=(labelled,))]
         load = [("", f'minari.load_dataset("{one}")') for one in dict.fromkeys(one for _, one, _ in dataset.labelled)]
         if dataset.id is not None:
             load.insert(0, ("", f'minari.load_dataset("{dataset.id}")'))
-            exhibits.append(Exhibit("Load it", lead="In Python, after: import minari", code=tuple(dict.fromkeys(load))))
+            sections.append(Section("Load it", lead="In Python, after: import minari", code=tuple(dict.fromkeys(load))))
         again = dataset.commands
         if again:
-            exhibits.append(Exhibit("Make it again", code=tuple(again)))
+            sections.append(Section("Make it again", code=tuple(again)))
         else:
             why = "It was imported; nobody can be told how to collect it again." if dataset.source else "Its records do not say enough."
-            exhibits.append(Exhibit("Make it again", lead=f"There is no command for that. {why}"))
+            sections.append(Section("Make it again", lead=f"There is no command for that. {why}"))
         if local is None:
             why = "This dataset was not measured: with its records' fingerprint it was not in Minari's root where this page was made."
-            exhibits.append(Exhibit("Measures", lead=f"{why}{' The commands above make it again.' if again else ''}"))
+            sections.append(Section("Measures", lead=f"{why}{' The commands above make it again.' if again else ''}"))
         else:
-            exhibits += _measured(dataset, local)
-        exhibits.append(self._trained(dataset))
-        exhibits.append(
-            Exhibit("Commands of its runs", folded=True, code=tuple(("", one) for one in sorted({r.command for r in dataset.records})))
+            sections += _measured(dataset, local)
+        sections.append(self._trained(dataset))
+        sections.append(
+            Section("Commands of its runs", folded=True, code=tuple(("", one) for one in sorted({r.command for r in dataset.records})))
         )
         crumbs = (("Overview", "index.html"), ("Datasets", "datasets/index.html"))
         title = (
@@ -164,7 +164,7 @@ class Catalogue(Parts):
             if dataset.source is None
             else f"{dataset.name}, {first.dataset.source}"
         )
-        return Page(dataset_path(dataset), title, crumbs, (), (), tuple(exhibits))
+        return Page(dataset_path(dataset), title, crumbs, (), (), tuple(sections))
 
     def _final(self, table: Table, record: Record) -> Item:
         """The mean of a run's last evaluation, with its score where the task has a reference."""
@@ -172,7 +172,7 @@ class Catalogue(Parts):
         score = "" if bounds is None else f"score {bounds.normalise(record.conclusion.mean) + 0.0:.3f}"
         return replace(number(record.conclusion.mean), note=score)
 
-    def _trained(self, dataset: Dataset) -> Exhibit:
+    def _trained(self, dataset: Dataset) -> Section:
         lines = []
         for record in sorted(dataset.records, key=lambda r: (r.group, r.algorithm, r.dataset.task, r.seed)):
             table = self.table_of[id(record)]
@@ -184,10 +184,10 @@ class Catalogue(Parts):
             )))  # fmt: skip
         columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
-        return Exhibit("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
+        return Section("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
 
 
-def _standings(board: Board, method: str) -> list[tuple[str, Item]]:
+def _standings(board: ComparisonPage, method: str) -> list[tuple[str, Item]]:
     """What became of a method in each comparison of a board."""
     facts = []
     for comparison in board.overall.comparisons if board.overall else ():
@@ -201,9 +201,9 @@ def _standings(board: Board, method: str) -> list[tuple[str, Item]]:
     return facts
 
 
-def _measured(dataset: Dataset, local: Local) -> list[Exhibit]:
+def _measured(dataset: Dataset, local: Local) -> list[Section]:
     quality = local.quality
-    found = [Exhibit("Its manifest", facts=tuple((name, Item(value)) for name, value in facts_of(local.manifest)))]
+    found = [Section("Its manifest", facts=tuple((name, Item(value)) for name, value in facts_of(local.manifest)))]
     prefix = f"datasets/{dataset.word}"
     grids = []
     facts: list[tuple[str, Item]] = []
@@ -236,5 +236,5 @@ def _measured(dataset: Dataset, local: Local) -> list[Exhibit]:
         "representation": "What shows whether the collector's representation collapses, over environment steps.",
     }
     figures = tuple(Figure(f"{prefix}.{name}.svg", alt) for name, alt in alts.items() if name in local.figures)
-    found.append(Exhibit("Measures", grids=tuple(grids), facts=tuple(facts), figures=figures))
+    found.append(Section("Measures", grids=tuple(grids), facts=tuple(facts), figures=figures))
     return found

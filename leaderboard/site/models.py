@@ -1,6 +1,6 @@
 """What the pages of the static site show, before it is HTML: grids, figures, downloads, and exhibits, which are these under one title.
 
-An :class:`Exhibit` is the one way onto a page. Links are paths from the site's root, pages make them relative. All text is plain and is
+A :class:`Section` is the one way onto a page. Links are paths from the site's root, pages make them relative. All text is plain and is
 escaped when it is drawn.
 """
 
@@ -106,7 +106,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class Section:
     """Something to show under a title of its own.
 
     Attributes:
@@ -135,7 +135,7 @@ class Exhibit:
     facts: tuple[tuple[str, Item], ...] = ()
     lines: tuple[Item, ...] = ()
     code: tuple[tuple[str, str], ...] = ()
-    parts: tuple[Exhibit, ...] = ()
+    parts: tuple[Section, ...] = ()
     id: str = ""
     folded: bool = False
     milestone: int | None = None
@@ -164,12 +164,12 @@ class Page:
     crumbs: tuple[tuple[str, str], ...] = ()
     lead: tuple[str, ...] = ()
     badges: tuple[str, ...] = ()
-    exhibits: tuple[Exhibit, ...] = ()
+    sections: tuple[Section, ...] = ()
 
     @property
     def grids(self) -> list[Grid]:
         """All of its tables."""
-        return [grid for exhibit in self.exhibits for grid in exhibit.every_grid]
+        return [grid for section in self.sections for grid in section.every_grid]
 
     @property
     def milestones(self) -> list[int]:

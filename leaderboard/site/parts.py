@@ -25,7 +25,7 @@ from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import file_word, group_slug, ordered, span
-from .models import MISSING, Exhibit, Figure, Item, Line, swatch
+from .models import MISSING, Figure, Item, Line, Section, swatch
 
 Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
@@ -57,7 +57,7 @@ class Site:
     hidden: Sequence[Table] = ()
 
     @cached_property
-    def boards(self) -> list[Board]:
+    def boards(self) -> list[ComparisonPage]:
         """What may be compared, the one to show first in front."""
         found: dict[tuple[str, str], list[Table]] = defaultdict(list)
         hidden: dict[tuple[str, str], list[Table]] = defaultdict(list)
@@ -73,7 +73,7 @@ class Site:
             slug = group_slug(group, algorithm)
             overall = next((one for one in self.overall if one.slug == slug), None)
             others = [table for table in hidden[group, algorithm] if all(table is not one for one in tables)]
-            boards.append(Board(tables[0].group, algorithm, slug, tuple(tables), overall, tuple(others)))
+            boards.append(ComparisonPage(tables[0].group, algorithm, slug, tuple(tables), overall, tuple(others)))
         first = {"paper": 0, "cpu": 1}
         return sorted(boards, key=lambda one: (first.get(one.group, 2), one.algorithm != "td3", -one.runs, one.group, one.algorithm))
 
@@ -103,7 +103,7 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Board:
+class ComparisonPage:
     """The tables of one group and algorithm, and their comparison, if there is one."""
 
     group: str
@@ -168,11 +168,11 @@ class Parts:
         """By the identity of a record."""
         return {id(record): table for table in self.site.every_table for record in table.records}
 
-    def crumbs(self, board: Board) -> tuple[tuple[str, str], ...]:
+    def crumbs(self, board: ComparisonPage) -> tuple[tuple[str, str], ...]:
         """The way from the overview to a comparison."""
         return ("Overview", "index.html"), (board.name, board.path)
 
-    def look(self, board: Board) -> None:
+    def look(self, board: ComparisonPage) -> None:
         """Take the colours of a comparison's figures."""
         compared = board.overall.headline.methods if board.overall else ()
         self._looks = looks(board.methods) | looks(compared)
@@ -199,7 +199,7 @@ class Parts:
         kinds = ("md", "tex", "csv", "svg", "pdf")
         return tuple((f"{name}.{kind}", f"{slug}/{name}.{kind}") for name in names for kind in kinds if f"{name}.{kind}" in there)
 
-    def further(self, slug: str, figures: Collection[str], tables: Collection[str]) -> list[Exhibit]:
+    def further(self, slug: str, figures: Collection[str], tables: Collection[str]) -> list[Section]:
         """Files of a folder that nothing else shows: figures, and what can be downloaded."""
         there = sorted(self.site.files.get(slug, ()))
         of_studies = {study.name for study in self.site.studies if study.folder == slug}
@@ -209,7 +209,7 @@ class Parts:
         if not rest:
             return []
         pictures = tuple(one for name in rest for one in self.figure(slug, name, f"Figure: {name.replace('-', ' ').replace('_', ' ')}."))
-        return [Exhibit("More", figures=pictures, downloads=self.downloads(slug, rest))]
+        return [Section("More", figures=pictures, downloads=self.downloads(slug, rest))]
 
     def cell(self, table: Table, milestone: int, task: str, method: str) -> Item:
         """A method's result on a task, with the paper's beside it."""

@@ -8,9 +8,9 @@ from cudc_bench.artefacts.records import Record
 
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import short, span
-from .models import MISSING, Exhibit, Grid, Heading, Item, Line, Page
+from .models import MISSING, Grid, Heading, Item, Line, Page, Section
 from .parts import (
-    Board,
+    ComparisonPage,
     Parts,
     brief,
     by_column,
@@ -32,16 +32,16 @@ from .parts import (
 class Runs(Parts):
     """Builds them."""
 
-    def runs_of(self, board: Board, table: Table) -> Iterable[Page]:
+    def runs_of(self, board: ComparisonPage, table: Table) -> Iterable[Page]:
         """A page for each task and method of a table."""
         for task in table.tasks:
             for method, records in by_column(table, task).items():
                 records.sort(key=lambda one: (one.dataset.seed, one.seed, one.dataset.id))
                 yield self._runs(board, table, task, method, records)
 
-    def _runs(self, board: Board, table: Table, task: str, method: str, records: Sequence[Record]) -> Page:
+    def _runs(self, board: ComparisonPage, table: Table, task: str, method: str, records: Sequence[Record]) -> Page:
         ids = {id(record): f"run-{index}" for index, record in enumerate(records, 1)}
-        exhibits = []
+        sections = []
         for milestone in reversed(table.milestones):
             lines = []
             for record in records:
@@ -59,18 +59,18 @@ class Runs(Parts):
             result = "no result" if cell is None else f"{pm(cell.value, cell.std)} over {span([cell.n], 'seed')}"
             caption = f"{method} on {table.domain} {task} after {short(milestone)} gradient steps: {result}"
             grid = Grid(caption, "collector seed", columns, tuple(lines))
-            exhibits.append(Exhibit(f"After {short(milestone)} gradient steps", grids=(grid,), id=f"at-{milestone}"))
+            sections.append(Section(f"After {short(milestone)} gradient steps", grids=(grid,), id=f"at-{milestone}"))
         parts = tuple(self._run(table, record, ids[id(record)]) for record in records)
-        exhibits.append(Exhibit("Each run", parts=parts))
+        sections.append(Section("Each run", parts=parts))
         # A hidden table has no pages of its own.
         above = () if any(table is one for one in board.hidden) else ((table.domain, domain_path(table)), (task, task_path(table, task)))
         crumbs = (*self.crumbs(board), *above)
         lead = (f"The runs behind {method} in the tables of {table.algorithm}, profile {brief(table.group)}.", *reference_text(table, task))
         preliminary = len({record.dataset.seed for record in records}) < ENOUGH_SEEDS
         badges = ("Preliminary: fewer than five seeds",) if preliminary else ()
-        return Page(runs_path(table, task, method), f"{method} on {table.domain} {task}", crumbs, lead, badges, tuple(exhibits))
+        return Page(runs_path(table, task, method), f"{method} on {table.domain} {task}", crumbs, lead, badges, tuple(sections))
 
-    def _run(self, table: Table, record: Record, anchor: str) -> Exhibit:
+    def _run(self, table: Table, record: Record, anchor: str) -> Section:
         dataset = self.site.dataset_of[id(record)]
         facts = [
             ("dataset", Item(record.dataset.id, link=dataset_path(dataset))),
@@ -97,5 +97,5 @@ class Runs(Parts):
         ]
         if place := self.site.place(record):
             facts.append(("record", Item(place)))
-        return Exhibit(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
+        return Section(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
                        code=(("Makes this record again", record.again),))  # fmt: skip

@@ -12,49 +12,49 @@ from ..numbers.columns import column
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS
 from ..show.text import text
-from .models import Exhibit, Figure, Grid, Heading, Item, Line, Page
-from .parts import Board, Parts, method_path, runs_path, study_path
+from .models import Figure, Grid, Heading, Item, Line, Page, Section
+from .parts import ComparisonPage, Parts, method_path, runs_path, study_path
 
 
 class Studies(Parts):
     """Builds them."""
 
-    def studies_of(self, board: Board) -> list[Study]:
+    def studies_of(self, board: ComparisonPage) -> list[Study]:
         """The studies that a comparison's records take part in."""
         of_group = [study for study in self.site.studies if study.group == board.group]
         return [study for study in of_group if board.algorithm in (study.algorithm, *(one.algorithm for one in study.records))]
 
-    def studies_list(self, studies: Sequence[Study]) -> tuple[Exhibit, ...]:
+    def studies_list(self, studies: Sequence[Study]) -> tuple[Section, ...]:
         """Ways to them."""
         if not studies:
             return ()
         lines = tuple(Item(f"{study.title}{f': {study.domain}' if study.domain else ''}", link=study_path(study)) for study in studies)
-        return (Exhibit("Studies", lines=lines, lead="Further comparisons of the same records, each a page of its own."),)
+        return (Section("Studies", lines=lines, lead="Further comparisons of the same records, each a page of its own."),)
 
     def study_pages(self) -> Iterable[Page]:
         """A page for each study."""
         for study in self.site.studies:
-            grids = [self._exhibit(one) for one in study.tables]
+            grids = [self._section(one) for one in study.tables]
             figures = tuple(
                 Figure(f"{study.folder}/{study.name}-{name}.svg", f"Figure of the study: {name.replace('-', ' ')}.")
                 for name in study.figures
                 if f"{study.name}-{name}.svg" in self.site.files.get(study.folder, ())
             )
             names = [study.name, *(f"{study.name}-{one}" for one in (*(table.name for table in study.tables), *study.figures))]
-            exhibits = [
+            sections = [
                 *grids,
-                *([Exhibit("Figures", figures=figures)] if figures else []),
-                *([Exhibit("Notes", lines=tuple(map(Item, study.notes)))] if study.notes else []),
-                Exhibit("Files", downloads=self.downloads(study.folder, names)),
-                Exhibit("Make it again", code=tuple(("", command) for command in study.commands), folded=True),
+                *([Section("Figures", figures=figures)] if figures else []),
+                *([Section("Notes", lines=tuple(map(Item, study.notes)))] if study.notes else []),
+                Section("Files", downloads=self.downloads(study.folder, names)),
+                Section("Make it again", code=tuple(("", command) for command in study.commands), folded=True),
             ]
             boards = [board for board in self.site.boards if study in self.studies_of(board)]
             crumbs = self.crumbs(boards[0]) if len(boards) == 1 else (("Overview", "index.html"),)
             few = any(0 < entry.n < ENOUGH_SEEDS for one in study.tables for *_, entry in one.entries() if entry)
             badges = ("Preliminary: fewer than five seeds",) if few else ()
-            yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(exhibits))
+            yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(sections))
 
-    def _exhibit(self, table: study_grid.Grid) -> Exhibit:
+    def _section(self, table: study_grid.Grid) -> Section:
         grids = []
         for part in table.parts:
             milestone = part.key if table.split == "milestone" and isinstance(part.key, int) else None
@@ -65,7 +65,7 @@ class Studies(Parts):
                 lines.append(Line(head, (*further, *items)))
             columns = (*(Heading(name, number=False) for name in table.head[1:]), *(Heading(one.name) for one in table.columns))
             grids.append(Grid(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
-        return Exhibit(table.title, grids=tuple(grids), text=(table.caption,))
+        return Section(table.title, grids=tuple(grids), text=(table.caption,))
 
     def _label(self, label: str) -> Item:
         name = canonical(label)

@@ -57,7 +57,7 @@ class Explorer(Member):
     def __init__(self, collector: Any, e: int, rate: float = 1e-4) -> None:
         super().__init__(collector, e, {}, rate)
         self.rate = rate
-        self.space, self.k, self.updates = collector.space, int(collector.horizon[e]), int(collector.updates)
+        self.sizes, self.k, self.updates = collector.sizes, int(collector.horizon[e]), int(collector.updates)
         self.increments: list[dict[str, float]] = []
         self.in_a_row, self.last_change = 0, 0
         self.kept: dict[str, Any] = {}
@@ -71,7 +71,7 @@ class Explorer(Member):
     @property
     def step(self) -> int:
         """The environment step at which this update takes place: the first comes after the random actions."""
-        return int(self.space.seed_steps + self.updates * self.space.update_every)
+        return int(self.sizes.seed_steps + self.updates * self.sizes.update_every)
 
 
 def _flat(weights: Any) -> Weights:
@@ -226,7 +226,7 @@ def apt_schedule(
 ) -> Found:
     """APT with 3 steps, and one more from each of these environment steps on."""
     found = apt(m, b, neighbours=neighbours, knn_exclude_self=knn_exclude_self)
-    following = m.step + m.space.update_every
+    following = m.step + m.sizes.update_every
     m.k = 3 + sum(following >= step for step in k_steps)
     return found
 
@@ -522,7 +522,7 @@ def grow(m: Explorer, signal: Tensor, below: float, what: str, c_k: float, patie
     """Spec 3.7, and what the manifest keeps of it: k <- k + 1 where the share of samples below the threshold exceeds C_k."""
     share = sum(float(value) < below for value in signal) / len(signal)
     m.in_a_row = m.in_a_row + 1 if share > c_k else 0
-    if m.in_a_row >= patience and (m.updates - m.last_change) * m.space.update_every >= dwell and m.k < k_max:
+    if m.in_a_row >= patience and (m.updates - m.last_change) * m.sizes.update_every >= dwell and m.k < k_max:
         m.increments.append({"step": m.step, "old_k": m.k, "new_k": m.k + 1, "p": share, what: float(signal.mean())})
         m.k, m.in_a_row, m.last_change = m.k + 1, 0, m.updates
     return share
@@ -589,7 +589,7 @@ def cudc(
     if parts.rule == "uniform":
         m.k = ks[int(m.uniform(purpose="k") * len(ks))]
     elif parts.rule == "normal":
-        mean = horizon + (parts.k_max - horizon) * (m.step + m.space.update_every) / normal_steps
+        mean = horizon + (parts.k_max - horizon) * (m.step + m.sizes.update_every) / normal_steps
         m.k = min(max(round(mean + normal_std * float(m.normal(purpose="k"))), horizon), parts.k_max)
     else:
         pilot_dwell = max(min_dwell, threshold_dwell)

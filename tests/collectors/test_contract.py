@@ -51,7 +51,7 @@ def encoder(name: str) -> Hashable:
     """What shapes a collector's representation."""
     collector = make(name)
     switches = ("encoder", "action_encoder", "inverse", "step_model", "reach", "state_target", "action_target", "inverse_k_batch")
-    return getattr(collector, "belief_loss", None) and type(collector).belief_loss, *(
+    return getattr(collector, "auxiliary_loss", None) and type(collector).auxiliary_loss, *(
         getattr(collector.config, one, None) for one in switches
     )
 

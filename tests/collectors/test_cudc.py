@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.cudc import CUDC, CUDCConfig
 from cudc_bench.collectors.representation import effective_rank
 from cudc_bench.learning.networks import minimise
@@ -33,7 +33,7 @@ class Scripted(CUDC):
 
 def scripted(seeds=(1,), **settings):
     config = CUDCConfig(**{"width": 8, "batch_size": 8, "feature_dim": 8, "neighbours": 4} | settings)
-    return Scripted(Space("walker", 24, 6, 1000, 4000, 8), config, list(seeds))
+    return Scripted(Sizes("walker", 24, 6, 1000, 4000, 8), config, list(seeds))
 
 
 def drive(c, shares):
@@ -81,7 +81,7 @@ def test_members_have_their_own_k_and_record_every_increment():
 )
 def test_a_schedule_is_suspect_when_it_starts_or_ends_too_early_for_its_run(shares, suspect, length):
     c = scripted()
-    c.space = Space("walker", 24, 6, 1000, 0, 1, length)
+    c.sizes = Sizes("walker", 24, 6, 1000, 0, 1, length)
     for row, share in enumerate(shares):
         c.increments[0, row] = torch.tensor([round(share * length), 0.6, 0.3])
     assert c.summary()[0]["k_schedule_suspect"] is suspect
@@ -98,10 +98,10 @@ def test_a_perfectly_predicted_future_is_reachable():
     c.forward_model = torch.nn.Module()
     c.forward_model.forward = lambda x: keys
     f = real(batch)
-    batch.kept = f.detached()
+    batch.cache = f.detached()
     w = c.sample_weight(batch)
     assert f.log_reachable.exp().min() > 0.999
-    assert batch.kept.w.max() < 1e-3
+    assert batch.cache.w.max() < 1e-3
     assert (w == c.config.clip_low).all()
     c._adapt_horizon(torch.ones(1), torch.zeros(1))
     assert c.k.tolist() == [4]
@@ -113,7 +113,7 @@ def test_a_perfectly_predicted_future_is_reachable():
 @pytest.mark.parametrize(("observation", "action"), [(24, 6), (78, 12), (42, 9)])
 @pytest.mark.parametrize("k_max", [6, 8])
 def test_networks_have_the_papers_sizes(observation, action, k_max):
-    c = CUDC(Space("x", observation, action, 250, 0, 2), CUDCConfig(k_max=k_max), [1])
+    c = CUDC(Sizes("x", observation, action, 250, 0, 2), CUDCConfig(k_max=k_max), [1])
     horizons = k_max - 2
 
     def linear(*sizes):
@@ -165,16 +165,16 @@ def random_walker():
 @pytest.mark.parametrize("action_target", ["stopgrad", "live"])
 def test_the_representation_learns_and_a_live_action_target_collapses(random_walker, action_target):
     # The belief alone, on 40 episodes of random actions: the pilot behind the choice of targets, at a smaller width.
-    space = Space("walker", 24, 6, 1000, 4000, 2)
-    c = CUDC(space, CUDCConfig(width=128, feature_dim=128, batch_size=128, action_target=action_target), [1])
+    sizes = Sizes("walker", 24, 6, 1000, 4000, 2)
+    c = CUDC(sizes, CUDCConfig(width=128, feature_dim=128, batch_size=128, action_target=action_target), [1])
     reach, batch = [], None
     for _ in range(1500):
         batch = random_walker.sample(128, c.horizon)
-        loss, losses = c.belief_loss(batch)
+        loss, losses = c.auxiliary_loss(batch)
         minimise(loss, c.optimisers["belief"])
         c.update_targets()
         reach.append(losses["loss_reach"].item())
     # Chance is ln 128.
     assert np.mean(reach[580:620]) < math.log(128)
-    spread = batch.kept.action.std(1).norm(dim=-1).item()
+    spread = batch.cache.action.std(1).norm(dim=-1).item()
     assert spread > 0.1 if action_target == "stopgrad" else spread < 0.05

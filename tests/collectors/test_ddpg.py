@@ -2,7 +2,7 @@
 
 import torch
 
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
 
 from .helpers import batch_for
@@ -19,7 +19,7 @@ class Known(DDPG):
 
 def test_learns_the_action_that_is_rewarded():
     config = DDPGConfig(width=32, batch_size=32, learning_rate=3e-3, discount=0.5)
-    agent = Known(Space("walker", 4, 2, 100, 10, 2), config, [1, 2])
+    agent = Known(Sizes("walker", 4, 2, 100, 10, 2), config, [1, 2])
     for step in range(1000):
         agent.update(batch_for(agent, size=64, seed=step))
     actions = agent.actor(torch.randn(2, 256, 4)).detach()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.running.loop import CollectConfig, run_collection
 from cudc_bench.envs import Domain
 from cudc_bench.learning.replay import Batch
@@ -22,9 +22,9 @@ from .helpers import make
 def region(collector: Any, centre: float, seed: int) -> Batch:
     """Transitions around one place; s' is a simple function of (s, a) there, and elsewhere another one."""
     generator = torch.Generator().manual_seed(seed)
-    size, space = 32, collector.space
-    observation = centre + 0.3 * torch.randn(1, size, space.observation, generator=generator)
-    action = torch.rand(1, size, space.action, generator=generator) * 2 - 1
+    size, sizes = 32, collector.sizes
+    observation = centre + 0.3 * torch.randn(1, size, sizes.observation, generator=generator)
+    action = torch.rand(1, size, sizes.action, generator=generator) * 2 - 1
     turned = torch.roll(observation, 1 + int(centre), -1) * (1.0 if centre == 0 else -1.0)
     following = observation + 0.5 * turned + (1.0 - centre) * action.mean(-1, keepdim=True)
     return Batch(observation, action, following, collector.horizon)
@@ -99,7 +99,7 @@ class Places:
 @cache
 def visited(name: str) -> int:
     domain = Domain("point mass", (), 2, 2, 2, 100, 1.0, (), "", "", "")
-    collector = make(name, (1,), Space("walker", 2, 2, 100, 500, 2), width=32, batch_size=64, feature_dim=16)
+    collector = make(name, (1,), Sizes("walker", 2, 2, 100, 500, 2), width=32, batch_size=64, feature_dim=16)
     places = Places()
     config = CollectConfig(steps=3_000, seed_steps=500, update_every=2, measure_every=10**6)
     run_collection(collector, config, domain, [places], lambda n: None)

@@ -8,7 +8,7 @@ import torch
 from cudc_bench.collectors.be import BE
 from cudc_bench.learning.knn import neighbour_distances
 from cudc_bench.learning.networks import MemberRandom
-from cudc_bench.learning.running_mean_std import RunningMoments
+from cudc_bench.learning.running_mean_std import RunningMeanStd
 
 from .helpers import batch_for, make
 
@@ -39,7 +39,7 @@ def test_more_neighbours_than_a_minibatch_has_are_refused(name, settings):
 
 
 def test_one_number_says_nothing_of_its_spread():
-    moments = RunningMoments(2, "cpu")
+    moments = RunningMeanStd(2, "cpu")
     moments.add(torch.randn(2, 50))
     moments.add(torch.ones(2, 1))
     assert moments.variance.isfinite().all()
@@ -62,7 +62,7 @@ def test_skills_are_drawn_from_each_members_own_stream():
 
 def test_skills_are_one_hot_codes_points_of_a_sphere_or_of_a_cube():
     def draws(name):
-        return torch.cat([make(name).draw_skills(MemberRandom([seed], "x")) for seed in range(400)])
+        return torch.cat([make(name).sample_skills(MemberRandom([seed], "x")) for seed in range(400)])
 
     for name, count in (("diayn", 16), ("smm", 4)):
         skills = draws(name)

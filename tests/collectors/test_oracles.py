@@ -126,8 +126,8 @@ def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
 
 def given(name: str, values: dict[str, Any], seed_steps: int = 4000, updates: int = 0) -> Any:
     """A collector whose every weight was moved: nothing is zero, one, or equal to its slow copy by construction."""
-    space = replace(SPACES["walker"], seed_steps=seed_steps)
-    collector = make(name, SEEDS, space, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
+    sizes = replace(SPACES["walker"], seed_steps=seed_steps)
+    collector = make(name, SEEDS, sizes, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
     perturb(collector, scale=0.1, seed=3)
     collector.updates.fill_(updates)
     return collector.double()
@@ -227,7 +227,7 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
         if set(settings) & {"c_w", "c_r", "c_e"}:
             assert 0 < sum(len(member.increments) for member in members) < len(FURTHER) * len(SEEDS)
         # And then they act: the mean, and around it Gaussian noise that nothing cuts off but the bounds of actions.
-        observation = torch.randn(len(SEEDS), collector.space.observation) * 3
+        observation = torch.randn(len(SEEDS), collector.sizes.observation) * 3
         if collector.skill_size:
             collector.skill.copy_(batch.skill[:, 0])
         calm, noise = collector.act(observation, explore=False), collector.act(observation)

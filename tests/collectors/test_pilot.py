@@ -17,7 +17,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.collectors.running.loop import run_collection
 from cudc_bench.collectors.running.pilot import FIRST, LAST, QUANTILE, SEED
-from cudc_bench.collectors.running.setting import settle
+from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.collectors.running.thresholds import OURS, find_threshold, read_thresholds, settings_key
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
@@ -55,15 +55,15 @@ def test_exactly_these_need_one():
 @pytest.mark.parametrize("method", NEEDY)
 def test_the_threshold_is_the_quantile_of_medians(method, own_file):
     (found,) = cudc_bench.pilot([method], profile="smoke")
-    setting = settle(method, "walker", SMOKE, piloting=True)
+    setting = resolve(method, "walker", SMOKE, piloting=True)
     loop = replace(setting.loop, steps=round(LAST * setting.loop.steps))
-    collector = setting.kind(setting.space, setting.config, [SEED])
+    collector = setting.kind(setting.sizes, setting.config, [SEED])
     torch.set_num_threads(1)
     rows, update = [], collector.update
 
     def watched(batch):
         metrics = update(batch)
-        f = batch.kept
+        f = batch.cache
         error = (f.z_next - f.predicted).norm(dim=-1)[0]
         if method == "cudc-no-reach":
             signal = error
@@ -113,7 +113,7 @@ def test_a_threshold_belongs_to_its_settings(own_file, none_of_ours):
 
     def found(**settings):
         try:
-            return settle("cudc-vary-icm", "walker", SMOKE, settings).pilot
+            return resolve("cudc-vary-icm", "walker", SMOKE, settings).pilot
         except UsageError:
             return None
 
@@ -133,23 +133,23 @@ def test_a_threshold_belongs_to_its_settings(own_file, none_of_ours):
 
 
 def test_a_users_own_number_needs_no_pilot(none_of_ours):
-    setting = settle("cudc-no-reach", "walker", SMOKE, {"c_e": "0.25"})
+    setting = resolve("cudc-no-reach", "walker", SMOKE, {"c_e": "0.25"})
     assert (setting.config.c_e, setting.overrides, setting.pilot) == (0.25, {"c_e": 0.25}, None)
 
 
 def test_a_users_own_pilot_wins_over_ours(own_file):
-    setting = settle("cudc-vary-icm", "walker", SMOKE)
+    setting = resolve("cudc-vary-icm", "walker", SMOKE)
     assert setting.pilot in read_thresholds(OURS)
     mine = setting.pilot.model_copy(update={"value": 123.0})
     own_file.write_text(json.dumps({"thresholds": [mine.model_dump()]}))
-    assert settle("cudc-vary-icm", "walker", SMOKE).config.c_r == 123.0
+    assert resolve("cudc-vary-icm", "walker", SMOKE).config.c_r == 123.0
 
 
 @pytest.mark.parametrize("domain", DOMAINS)
 @pytest.mark.parametrize("profile", ["cpu", "demo", "smoke"])
 @pytest.mark.parametrize("method", NEEDY)
 def test_thresholds_of_the_small_profiles_come_along(method, profile, domain):
-    setting = settle(method, domain, PROFILES[profile])
+    setting = resolve(method, domain, PROFILES[profile])
     assert setting.pilot in read_thresholds(OURS)
     pilot = setting.pilot
     assert (pilot.method, pilot.domain, pilot.seed, pilot.overrides) == (method, domain, 0, {})
@@ -160,14 +160,14 @@ def test_thresholds_of_the_small_profiles_come_along(method, profile, domain):
 def test_what_comes_along_is_what_the_pilot_command_gives():
     """Smoke pilots take a second; that the numbers are near proves that they were not written by hand for other code."""
     (found,) = cudc_bench.pilot(["cudc-vary-icm"], profile="smoke")
-    ours = settle("cudc-vary-icm", "walker", SMOKE).pilot
+    ours = resolve("cudc-vary-icm", "walker", SMOKE).pilot
     assert ours.key == found.key
     assert ours.value == pytest.approx(found.value, rel=0.05)
 
 
 def test_the_cpus_thresholds_are_the_cpu_profiles():
     kind = plugins.load("collectors", "cudc-vary-icm")
-    cpu, demo = (settle("cudc-vary-icm", "walker", PROFILES[name]) for name in ("cpu", "demo"))
+    cpu, demo = (resolve("cudc-vary-icm", "walker", PROFILES[name]) for name in ("cpu", "demo"))
     # The demo is the cpu profile cut short.
     assert cpu.pilot == demo.pilot
     assert cpu.pilot.profile == "cpu"
@@ -182,7 +182,7 @@ def test_the_cpus_thresholds_are_the_cpu_profiles():
 def test_a_damaged_file_is_one_line(own_file, content):
     own_file.write_bytes(content.encode("latin-1"))
     with pytest.raises(RunError, match=r"the thresholds in .* are damaged: .*; mend or remove it\."):
-        settle("cudc-vary-icm", "walker", SMOKE)
+        resolve("cudc-vary-icm", "walker", SMOKE)
 
 
 @limits(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from cudc_bench import plugins
 from cudc_bench.collectors.apt import APT
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.cudc import CUDC, CUDCConfig
 from cudc_bench.envs import DOMAINS
 from cudc_bench.learning.networks import minimise
@@ -85,7 +85,7 @@ def test_without_k_they_are_the_methods_that_they_extend(base, variant):
         copied(plain.encoder, extended.state_encoder, 0)
     for step in range(5):
         batches = [batch_for(c, seed=step) for c in (plain, extended)]
-        losses = [c.belief_loss(batch)[1] for c, batch in zip((plain, extended), batches, strict=True)]
+        losses = [c.auxiliary_loss(batch)[1] for c, batch in zip((plain, extended), batches, strict=True)]
         assert losses[1]["loss_step"].item() == 0  # one k alone is no question
         for name in ("loss_forward", "loss_inverse"):
             torch.testing.assert_close(losses[0][name], losses[1][name])
@@ -137,7 +137,7 @@ def test_one_setting_is_the_same_in_every_domain():
 def test_switches_that_do_not_fit_are_refused(name, settings, what):
     kind = plugins.load("collectors", name)
     with pytest.raises(ValueError, match=what):
-        kind(Space("walker", 24, 6, 1000, 0, 2), kind.configure("walker", {"width": 8, "batch_size": 32}, settings), [1])
+        kind(Sizes("walker", 24, 6, 1000, 0, 2), kind.configure("walker", {"width": 8, "batch_size": 32}, settings), [1])
 
 
 def test_switches_compose_beyond_the_named_settings():
@@ -166,13 +166,13 @@ class Scripted(CUDC):
 
     def reward(self, batch):
         super().reward(batch)
-        batch.kept.surprise = batch.kept.reward = self.script.expand(len(self.seeds), -1)
-        return batch.kept.reward
+        batch.cache.surprise = batch.cache.reward = self.script.expand(len(self.seeds), -1)
+        return batch.cache.reward
 
 
 def scripted(rule, **settings):
     config = {"width": 8, "batch_size": 8, "feature_dim": 8, "neighbours": 4, "threshold_dwell": 0, "k_rule": rule} | settings
-    return Scripted(Space("walker", 24, 6, 1000, 4000, 8), CUDCConfig(**config), [1])
+    return Scripted(Sizes("walker", 24, 6, 1000, 4000, 8), CUDCConfig(**config), [1])
 
 
 def drive(c, shares):
@@ -236,7 +236,7 @@ def test_uniform_k_is_uniform_and_each_member_has_its_own():
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_normal_k_has_a_rising_mean(share):
     c = make("cudc-normal-k", (1, 2), normal_steps=1_000_000)
-    c.space = Space("walker", 24, 6, 1000, 0, 2)
+    c.sizes = Sizes("walker", 24, 6, 1000, 0, 2)
     c.updates.fill_(round(share * 500_000) - 1)
     ks = drawn(c, 4000)[:, 0]
     mean = 3 + 3 * share
@@ -270,7 +270,7 @@ def test_one_k_in_a_batch_teaches_nothing_about_k_and_second_ends_do():
             batch.next_observation = moved(batch.observation, batch.horizon[:, None])
             if batch.nearer_horizon is not None:
                 batch.nearer_observation = moved(batch.observation, batch.nearer_horizon)
-            minimise(c.belief_loss(batch)[0], c.optimisers["belief"])
+            minimise(c.auxiliary_loss(batch)[0], c.optimisers["belief"])
         k = torch.randint(3, 7, (1, 400), generator=generator)
         start = torch.randn(1, 400, 24, generator=generator)
         with torch.no_grad():
@@ -290,7 +290,7 @@ def test_apt_controls_have_apts_losses_and_the_horizon_that_they_say():
     assert six.horizon.tolist() == [6]
     assert six.max_horizon == 6
     c = make("apt-ksched", (1, 2), k_steps=(100, 130, 190))
-    c.space = Space("walker", 24, 6, 1000, 40, 10)
+    c.sizes = Sizes("walker", 24, 6, 1000, 40, 10)
     assert c.max_horizon == 6
     ks = []
     for step in range(18):

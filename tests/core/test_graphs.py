@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from cudc_bench import plugins
-from cudc_bench.collectors.base import Space
+from cudc_bench.collectors.base import Sizes
 from cudc_bench.learning.cpu_graphs import RecordedGraph, WaitsForDeviceError
-from cudc_bench.learning.cuda_graphs import WARM_UP, Acts, Graph, Updates, graphs_for
+from cudc_bench.learning.cuda_graphs import WARM_UP, ActionRunner, Graph, Updater, graphs_for
 from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, mlp
 from cudc_bench.learning.replay import Batch, Episodes
@@ -56,10 +56,10 @@ def data(device: str = "cpu") -> tuple[Episodes, MemberRandom]:
     return episodes, random
 
 
-def updates_of(learner: Any, make: Callable[[], Graph] | None, device: str = "cpu") -> Updates:
+def updates_of(learner: Any, make: Callable[[], Graph] | None, device: str = "cpu") -> Updater:
     episodes, random = data(device)
     horizon = torch.ones(1, dtype=torch.int64, device=device)
-    return Updates(learner, lambda measure: episodes.sample(16, horizon, measure), random, make)
+    return Updater(learner, lambda measure: episodes.sample(16, horizon, measure), random, make)
 
 
 class Counting(RecordedGraph):
@@ -145,8 +145,8 @@ def test_actions_are_those_of_the_observation_given() -> None:
         return lambda seen: network(seen[:, None])[:, 0] + stream.normal(2)
 
     with torch.no_grad():
-        plain = Acts(act(random[0]), [random[0]], torch.device("cpu"), None)
-        graphed = Acts(act(random[1]), [random[1]], torch.device("cpu"), RecordedGraph)
+        plain = ActionRunner(act(random[0]), [random[0]], torch.device("cpu"), None)
+        graphed = ActionRunner(act(random[1]), [random[1]], torch.device("cpu"), RecordedGraph)
         for step in range(WARM_UP + 5):
             observation = torch.full((2, 3), float(step))
             assert torch.equal(plain(observation), graphed(observation))
@@ -172,7 +172,7 @@ def learners(device: str) -> Iterator[tuple[str, Callable[[], Any], int]]:
                 config = kind.configure("walker", small, {threshold: 0.5})
 
             def make(kind: Any = kind, config: Any = config) -> Any:
-                return kind(Space("walker", 24, 6, 1000, 0, 2), config, [1, 2], device)
+                return kind(Sizes("walker", 24, 6, 1000, 0, 2), config, [1, 2], device)
 
             yield name, make, make().skill_size
     for name in plugins.names("evaluators"):
@@ -201,7 +201,7 @@ def test_on_a_gpu_graphs_equal_single_steps_and_nothing_waits() -> None:
                     64, horizon, measure, getattr(learner, "min_horizon", None), getattr(learner, "wants_next_action", False)
                 )
 
-            updates = Updates(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
+            updates = Updater(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
             for _ in range(2 * WARM_UP + 2):
                 updates(False)
             with no_waiting():

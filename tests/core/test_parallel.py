@@ -108,7 +108,7 @@ def ends_so(advance: Any, *, how: str) -> str:
         return lambda: None  # type: ignore[return-value]
     if how == "asked":
         os.kill(os.getpid(), signal.SIGTERM)
-        with interrupts.leave_well():
+        with interrupts.leaving_gracefully():
             pass  # a first stage, which did not look
         return str(interrupts.requested())
     while how == "long" and not interrupts.requested():
@@ -150,8 +150,8 @@ def test_what_cannot_be_sent_comes_home_in_words() -> None:
 
 def test_a_request_holds_until_all_stages_are_over() -> None:
     assert run_jobs(ends_so, jobs({"how": "asked"}, {"how": "short"}), unit="steps", workers=2, threads=1) == ["True", "short"]
-    with interrupts.leave_well():
-        with interrupts.leave_well():
+    with interrupts.leaving_gracefully():
+        with interrupts.leaving_gracefully():
             interrupts.ask()
         with pytest.raises(interrupts.Interrupted) as caught:
             run_jobs(ends_so, jobs({"how": "short"}), unit="steps", workers=1, threads=1)

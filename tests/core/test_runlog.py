@@ -13,7 +13,7 @@ import pytest
 
 import cudc_bench
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.collectors.running.journal import Journal
+from cudc_bench.collectors.running.journal import DatasetSink
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.running.loop import Arena
 from cudc_bench.execution import interrupts, runlog
@@ -90,7 +90,7 @@ def test_a_run_that_goes_on_logs_all_that_was_before(smoke: Path, tmp_path: Path
         return cudc_bench.evaluate("td3", tasks=["walk"], profile="smoke", output=tmp_path, log="tensorboard", log_dir=tmp_path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Journal, "add_diagnostics", asking(Journal.add_diagnostics, 7))
+        patch.setattr(DatasetSink, "add_diagnostics", asking(DatasetSink.add_diagnostics, 7))
         patch.setattr(Arena, "returns", asking(Arena.returns, 2))
         for run in (collect, evaluate):
             with pytest.raises(interrupts.Interrupted):

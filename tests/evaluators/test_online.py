@@ -182,7 +182,7 @@ def resumable(folder: Path, square: Domain) -> tuple[str, list[Outcome], str]:
     agent, tasks = make("td3", (3, 4), 2, 2), ["corner", "corner"]
     stores = [Storing(folder / f"{member}") for member in range(2)]
     config = short(steps=220, seed_steps=60, update_every=5)
-    with interrupts.leave_well():
+    with interrupts.leaving_gracefully():
         outcomes = run_online(
             agent, config, square, tasks, Arena(square, tasks), lambda n: None, stores, (), Checkpoints(folder, {}, every=0.0)
         )

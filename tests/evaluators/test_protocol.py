@@ -158,7 +158,7 @@ def test_every_algorithm_and_every_task(datasets, tmp_path, domain, tasks, algos
 def run_in(folder, agent):
     config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 20))
     arena = Arena(BRIEF, ["stand", "walk"])
-    with interrupts.leave_well():
+    with interrupts.leaving_gracefully():
         data = random_walker_data(1, "stand", (3, 4))
         return run_evaluation(agent, data, config, arena, lambda n: None, (), Checkpoints(folder, {}))
 

@@ -196,13 +196,13 @@ AGENT = [
             'self.add_optimiser("critic", [self.critic], 1.02 * config.learning_rate)',
         ),
         (
-            'self.random["act"].normal(self.space.action), self.config.noise_std, None)',
-            'self.random["act"].normal(self.space.action), self.config.noise_std, self.config.noise_clip)',
-            'self.random["noise"].normal(self.space.action), self.config.noise_std, None)',
+            'self.random["act"].normal(self.sizes.action), self.config.noise_std, None)',
+            'self.random["act"].normal(self.sizes.action), self.config.noise_std, self.config.noise_clip)',
+            'self.random["noise"].normal(self.sizes.action), self.config.noise_std, None)',
         ),
         ("            return mean\n", "            return 1.02 * mean\n"),
-        ("discount: Fraction = 0.99", "discount: Fraction = 0.98"),
-        ("critic_tau: Fraction = 0.01", "critic_tau: Fraction = 0.005"),
+        ("discount: UnitInterval = 0.99", "discount: UnitInterval = 0.98"),
+        ("critic_tau: UnitInterval = 0.01", "critic_tau: UnitInterval = 0.005"),
         ("noise_std: NonNegativeFloat = 0.2", "noise_std: NonNegativeFloat = 0.1"),
         ("noise_clip: NonNegativeFloat = 0.3", "noise_clip: NonNegativeFloat = 0.5"),
         ("learning_rate: PositiveFloat = 1e-4", "learning_rate: PositiveFloat = 3e-4"),
@@ -235,9 +235,9 @@ AGENT = [
     *mutants(
         "collectors/ddpg.py", ("icm", "apt", "be", "aps", "rnd", "disagreement", "diayn", "cic"),
         (
-            "            loss, metrics = self.belief_loss(batch)\n"
+            "            loss, metrics = self.auxiliary_loss(batch)\n"
             '            self.minimise("belief", loss)\n        with torch.no_grad():\n            reward = self.reward(batch)\n',
-            "            loss, metrics = self.belief_loss(batch)\n"
+            "            loss, metrics = self.auxiliary_loss(batch)\n"
             "            with torch.no_grad():\n"
             '                reward = self.reward(batch)\n            self.minimise("belief", loss)\n        with torch.no_grad():\n',
         ),
@@ -407,8 +407,8 @@ METHODS = [
     *mutants(
         "collectors/variants.py", ("apt-ksched",),
         (
-            "(self.updates + 1) * self.space.update_every\n        self.k.copy_",
-            "self.updates * self.space.update_every\n        self.k.copy_",
+            "(self.updates + 1) * self.sizes.update_every\n        self.k.copy_",
+            "self.updates * self.sizes.update_every\n        self.k.copy_",
         ),
         ("(step >= self.k_steps).sum()", "(step > self.k_steps).sum()", "(step >= self.k_steps).any()"),
         ("(450_000, 650_000, 1_050_000)", "(450_000, 650_000, 1_000_000)"),
@@ -508,7 +508,7 @@ METHODS = [
         ("temperature: PositiveFloat = 0.1", "temperature: PositiveFloat = 0.2"),
         ("neighbours: PositiveInt = 3", "neighbours: PositiveInt = 4"),
         ("sinkhorn_iterations: PositiveInt = 3", "sinkhorn_iterations: PositiveInt = 2"),
-        ("encoder_tau: Fraction = 0.05", "encoder_tau: Fraction = 0.01"),
+        ("encoder_tau: UnitInterval = 0.05", "encoder_tau: UnitInterval = 0.01"),
     ),
     # APS
     *mutants(
@@ -561,7 +561,7 @@ METHODS = [
         ("dim=1, keepdim=True, unbiased", "dim=(0, 1), keepdim=True, unbiased"),
         (".clamp(-clip, clip)", "", ".clamp(-clip, 1.02 * clip)", ".clamp(-1.02 * clip, clip)"),
         (".square().mean(-1)", ".square().sum(-1)", ".norm(dim=-1)", ".square().mean(1, keepdim=True).mean(-1).expand(-1, 20)"),
-        ('batch.kept["target"] - self.predictor', '1.02 * batch.kept["target"] - self.predictor'),
+        ('batch.cache["target"] - self.predictor', '1.02 * batch.cache["target"] - self.predictor'),
         ("loss = self.error(batch).mean(1)", "loss = 1.02 * self.error(batch).mean(1)", "loss = self.error(batch).sum(1)"),
         (
             "        self.moments.add(error)\n        return self.config.reward_scale * error / (self.moments.variance.sqrt()",
@@ -790,7 +790,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/cudc.py", ("cudc-vary-icm", "cudc-vary-apt", "cudc-reward"),
-        ("width, self.space.action, output=torch.tanh)", "width, self.space.action)"),
+        ("width, self.sizes.action, output=torch.tanh)", "width, self.sizes.action)"),
         ("else batch.action\n            losses", "else 1.02 * batch.action\n            losses"),
     ),
     *mutants(
@@ -964,9 +964,9 @@ CUDC = [
         ("low > config.c_k", "low < config.c_k"),
         ("grow = (self.in_a_row >= config.patience) & dwelt", "grow = (self.in_a_row > config.patience) & dwelt"),
         (
-            "(self.updates - self.last_change) * self.space.update_every >= dwell",
+            "(self.updates - self.last_change) * self.sizes.update_every >= dwell",
             "(self.updates - self.last_change) >= dwell",
-            "(self.updates - self.last_change) * self.space.update_every > dwell",
+            "(self.updates - self.last_change) * self.sizes.update_every > dwell",
         ),
         ("self.k += grow", "self.k += 2 * grow", "self.k += grow.any()"),
         (
@@ -1002,7 +1002,7 @@ CUDC = [
     ),
     *mutants(
         "collectors/horizon.py", ("cudc-normal-k",),
-        ("(self.updates + 1) * self.space.update_every\n            mean", "self.updates * self.space.update_every\n            mean"),
+        ("(self.updates + 1) * self.sizes.update_every\n            mean", "self.updates * self.sizes.update_every\n            mean"),
         ("(config.k_max - config.horizon) * steps", "(config.k_max - config.horizon + 1) * steps"),
         ("(mean + config.normal_std * self", "(mean + self"),
         (".round().long()", ".long()"),
@@ -1029,8 +1029,8 @@ CUDC = [
     *mutants(
         "collectors/cudc.py", ("cudc",),
         ("neighbours: PositiveInt = 12", "neighbours: PositiveInt = 11"),
-        ("c_k: Fraction = 0.5", "c_k: Fraction = 0.4"),
-        ("momentum_tau: Fraction = 0.05", "momentum_tau: Fraction = 0.01"),
+        ("c_k: UnitInterval = 0.5", "c_k: UnitInterval = 0.4"),
+        ("momentum_tau: UnitInterval = 0.05", "momentum_tau: UnitInterval = 0.01"),
         ("temperature: PositiveFloat = 1.0", "temperature: PositiveFloat = 0.5"),
         ("keys: PositiveInt | None = field(default=None", "keys: PositiveInt | None = field(default=1024"),
         ('action_target: Literal["stopgrad", "live"] = "stopgrad"', 'action_target: Literal["stopgrad", "live"] = "live"'),

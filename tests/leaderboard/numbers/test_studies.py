@@ -25,11 +25,11 @@ from cudc_bench.leaderboard.methods import ALIASES, canonical, looks
 from cudc_bench.leaderboard.numbers import statistics
 from cudc_bench.leaderboard.numbers.grid import Column, Entry, Grid, number
 from cudc_bench.leaderboard.numbers.overall import ALL, build_overall
-from cudc_bench.leaderboard.numbers.plans import ABLATION, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
 from cudc_bench.leaderboard.numbers.published import reported, reported_relative
 from cudc_bench.leaderboard.numbers.sizes import area_weights
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
+from cudc_bench.leaderboard.numbers.study_specs import ABLATION, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
 from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
 from cudc_bench.leaderboard.show.csv import of_grid as to_csv
 from cudc_bench.leaderboard.show.figures.draw import draw

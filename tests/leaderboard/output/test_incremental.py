@@ -12,21 +12,21 @@ import pytest
 
 from cudc_bench.leaderboard import api
 from cudc_bench.leaderboard.output import report
-from cudc_bench.leaderboard.output.incremental import LEDGER, Part, build
+from cudc_bench.leaderboard.output.incremental import LEDGER, Target, build
 
 
 def below(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def parts_of(state: dict[str, int], made: list[str]) -> list[Part]:
+def parts_of(state: dict[str, int], made: list[str]) -> list[Target]:
     """A part for each name, with as many files as its number says and the number in each."""
 
     def make(name: str, number: int) -> dict[str, str | bytes]:
         made.append(name)
         return {f"{index}.txt": f"{name} {number}" for index in range(number)}
 
-    return [Part(name, lambda name=name, number=number: make(name, number), (str(number),)) for name, number in state.items()]
+    return [Target(name, lambda name=name, number=number: make(name, number), (str(number),)) for name, number in state.items()]
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -71,8 +71,8 @@ def test_only_what_was_written_and_not_changed_since_is_removed(tmp_path: Path) 
 def test_parts_of_one_folder_are_made_and_removed_apart(tmp_path: Path) -> None:
     made: list[str] = []
 
-    def part(name: str, value: str) -> Part:
-        return Part("a", lambda: made.append(name) or {f"{name}.txt": value}, (value,), name)  # type: ignore[func-returns-value]
+    def part(name: str, value: str) -> Target:
+        return Target("a", lambda: made.append(name) or {f"{name}.txt": value}, (value,), name)  # type: ignore[func-returns-value]
 
     build(tmp_path, [part("x", "1"), part("y", "1")])
     build(tmp_path, [part("x", "1"), part("y", "2")])

@@ -13,7 +13,7 @@ from cudc_bench.text import plain
 Chosen = list[tuple[str, Manifest]]
 
 
-def choose(
+def select(
     dataset_ids: str | Sequence[str] | None,
     domain: str | None,
     methods: Sequence[str] | None,

@@ -12,7 +12,7 @@ from ..methods import BASELINES
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudySpec:
     """One study of methods on a domain.
 
     Attributes:
@@ -37,39 +37,39 @@ class Plan:
         return tuple(method for method in self.methods if method not in BASELINES)
 
 
-VARIANTS = Plan(
+VARIANTS = StudySpec(
     "variants",
     "From ICM and APT to CUDC, step by step",
     "The paper's Table 2: what each proposed component adds.",
     ("icm", "cudc-vary-icm", "apt", "cudc-vary-apt", "cudc-reward", "cudc-reach", "cudc"),
 )
-SCHEDULE = Plan(
+SCHEDULE = StudySpec(
     "schedule",
     "Ways to choose k",
     "The paper's comparison of CUDC's k, which adapts, with a k that is drawn for each update.",
     ("cudc-uniform-k", "cudc-normal-k", "cudc"),
 )
-ABLATION = Plan(
+ABLATION = StudySpec(
     "ablation",
     "CUDC without one of its parts",
     "The paper's Table 3: what is left of CUDC's score without one of its components.",
     ("cudc-no-entropy", "cudc-no-pe", "cudc-no-regularize", "cudc-no-vary", "cudc-no-reach", "cudc-no-inverse", "cudc"),
     relative=True,
 )
-K_BOUND = Plan(
+K_BOUND = StudySpec(
     "k-bound",
     "The upper bound of k",
     "The paper's sweep of the largest k from 3 to 8; CUDC's own is 6.",
     ("cudc-kmax3", "cudc-kmax4", "cudc-kmax5", "cudc-kmax6", "cudc-kmax7", "cudc-kmax8"),
     bounds=(3, 4, 5, 6, 7, 8),
 )
-CONTROLS = Plan(
+CONTROLS = StudySpec(
     "controls",
     "Controls that the paper lacks",
     "Whether a longer bootstrap alone, one setting for all domains, or another reading of the equations gives what CUDC gives.",
     ("apt", "apt-k6", "apt-ksched", "cudc", "cudc-one-setting", "cudc-literal", "cudc-kmix"),
 )
-READINGS = Plan(
+READINGS = StudySpec(
     "readings",
     "What CUDC's forward model predicts",
     "Three readings of the target of the paper's forward loss: z' with its gradient, without it, or a slow copy's.",

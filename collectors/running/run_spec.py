@@ -15,7 +15,7 @@ from cudc_bench.execution.progress import say
 from cudc_bench.settings.config import as_dict, build, changed, check_settings
 from cudc_bench.settings.profiles import Profile
 
-from ..base import Space
+from ..base import Sizes
 from .loop import CollectConfig
 from .thresholds import find_threshold
 
@@ -25,7 +25,7 @@ class NoThresholdError(UsageError):
 
 
 @dataclass(frozen=True)
-class Setting:
+class RunSpec:
     """One method on one domain.
 
     Attributes:
@@ -51,16 +51,16 @@ class Setting:
         return as_dict(self.loop, self.config)
 
     @property
-    def space(self) -> Space:
+    def sizes(self) -> Sizes:
         """The sizes that the method is built for."""
         facts = check_domain(self.domain)
-        return Space(
+        return Sizes(
             self.domain, facts.observation_size, facts.action_size, facts.episode_length, self.loop.seed_steps, self.loop.update_every,
             self.loop.steps,
         )  # fmt: skip
 
 
-def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, Any] | None = None, piloting: bool = False) -> Setting:
+def resolve(method: str, domain: str, profile: Profile, settings: Mapping[str, Any] | None = None, piloting: bool = False) -> RunSpec:
     """Everything that a run needs to know, checked.
 
     Args:
@@ -92,10 +92,10 @@ def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, An
             )
         value = {name: 0.0 if found is None else found.value}
         config, plain = kind.configure(domain, profile.collect, settings | value), plain | value
-    setting = Setting(method, domain, profile.name, kind, loop, config, changed(as_dict(loop, config), plain), found)
+    setting = RunSpec(method, domain, profile.name, kind, loop, config, changed(as_dict(loop, config), plain), found)
     # Building once here finds settings that do not fit each other before any process starts.
     try:
-        longest = kind(setting.space, config, [1], "cpu").max_horizon
+        longest = kind(setting.sizes, config, [1], "cpu").max_horizon
     except ValueError as error:
         raise UsageError(f"{method} cannot be built: {error}.") from None
     if longest > length:
@@ -103,7 +103,7 @@ def settle(method: str, domain: str, profile: Profile, settings: Mapping[str, An
     return setting
 
 
-def say_whose_values(setting: Setting) -> None:
+def say_whose_values(setting: RunSpec) -> None:
     """Say it when a method whose paper tunes it per domain has no values for this one."""
     kind, domain = setting.kind, setting.domain
     if not kind.domain_values or domain in kind.domain_values:
