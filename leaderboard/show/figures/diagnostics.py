@@ -1,4 +1,4 @@
-"""Figures of a collection's diagnostics over environment steps: k, the losses of the auxiliary model, and what became of the representation."""
+"""Figures of a collection's diagnostics over environment steps: k, the losses of the auxiliary model, and the representation."""
 
 from __future__ import annotations
 
