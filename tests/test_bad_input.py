@@ -11,15 +11,18 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import typer
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from cudc_bench import plugins
+from cudc_bench.cli import app
 from cudc_bench.cli.app import main
 from cudc_bench.envs import DOMAINS
 from cudc_bench.settings.profiles import PROFILES
@@ -440,8 +443,13 @@ def ground(tmp_path_factory: pytest.TempPathFactory, collected_once: Path) -> Pa
     return folder
 
 
+@pytest.fixture(scope="module")
+def command_line() -> Callable[..., Any]:
+    return typer.main.get_command(app.build_app())
+
+
 @pytest.fixture
-def attacked(ground: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def attacked(ground: Path, command_line: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with the environment of the command lines."""
     monkeypatch.chdir(ground)
     monkeypatch.setenv("HOME", str(ground))
@@ -450,6 +458,8 @@ def attacked(ground: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("CUDC_BENCH_THRESHOLDS", str(ground / "thresholds.json"))
     # ``render`` sets it for the process that it runs in.
     monkeypatch.setenv("MUJOCO_GL", "disabled")
+    # To make the command line of its functions takes most of the time of a refusal, and what comes out is always the same.
+    monkeypatch.setattr(app, "build_app", lambda: command_line)
     return ground
 
 

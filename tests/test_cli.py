@@ -217,11 +217,11 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     assert "profile smoke" in collected.err
     assert "next: cudc-bench relabel walker/cudc-v0" in collected.err
 
-    relabelled = cli("relabel", "walker/cudc-v0", anew=True)
+    relabelled = cli("relabel", "walker/cudc-v0")
     assert (relabelled.code, relabelled.out.split()) == (0, [f"walker/{task}/cudc-v0" for task in TASKS]), relabelled.err
     assert "next: cudc-bench evaluate" in relabelled.err
 
-    evaluated = cli("evaluate", "--algo", "td3", anew=True)
+    evaluated = cli("evaluate", "--algo", "td3", brief=True)
     assert evaluated.code == 0, evaluated.err
     assert "next: cudc-bench leaderboard results" in evaluated.err
     assert "missing" not in evaluated.err

@@ -25,8 +25,8 @@ from .waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
 
 ROOT = Path(__file__).resolve().parent.parent
 RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--checkpoint-every", "0"]
-COLLECT = [*RANDOM, "--set", "steps=30000"]
-TWO = [*RANDOM, "--set", "steps=20000", "--seeds", "1-2", "--workers", "2"]
+COLLECT = [*RANDOM, "--set", "steps=8000"]
+TWO = [*RANDOM, "--set", "steps=6000", "--seeds", "1-2", "--workers", "2"]
 
 KILLS = {"collect": 12, "evaluate": 6, "relabel": 6, "pilot": 3, "reference": 3, "suite": 2}
 
@@ -49,7 +49,7 @@ def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Pat
 def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
     datasets: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}, dataset_id="walker/undisturbed-v0")
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 8_000}, dataset_id="walker/undisturbed-v0")
     stopped = 0
     for number in (signal.SIGINT, signal.SIGTERM):
         process = subprocess.Popen(COLLECT, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
@@ -62,12 +62,12 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
         assert process.returncode == 128 + number
         line = said.splitlines()[-1]
         assert re.fullmatch(
-            r"cudc-bench: error: interrupted: random seed 1 at step [\d,]+ of 30,000; the same command continues from there\.", line
+            r"cudc-bench: error: interrupted: random seed 1 at step [\d,]+ of 8,000; the same command continues from there\.", line
         )
         stopped = int(line.split("step ")[1].split(" of")[0].replace(",", ""))
         assert max(int(path.stem) for path in datasets.rglob("*.pt")) == stopped
         assert set(minari.list_local_datasets()) == {undisturbed}
-    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 30_000}) == ["walker/random-v0"]
+    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 8_000}) == ["walker/random-v0"]
     first, second = (read_manifest(one) for one in (undisturbed, "walker/random-v0"))
     assert verify_fingerprint("walker/random-v0") == first.fingerprint
     assert second.final_state == first.final_state
@@ -111,7 +111,7 @@ def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: P
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
     if reader:
-        where = "random seed {} at step [\\d,]+ of 20,000"
+        where = "random seed {} at step [\\d,]+ of 6,000"
         line = f"cudc-bench: error: interrupted: {where.format(1)}, {where.format(2)}; the same command continues from there."
         assert re.fullmatch(line, said.splitlines()[-1])
 
@@ -132,7 +132,7 @@ def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environme
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
     done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
-    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 20_000}, dataset_id="walker/undisturbed-v0")
+    (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 6_000}, dataset_id="walker/undisturbed-v0")
     assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
 
 
@@ -149,7 +149,7 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     done = cli("collect", "--method", "random", "--set", "steps=3000")
     assert done.code == 2
     assert done.err == (
-        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 30000, not 3000."
+        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 8000, not 3000."
         " Use those to continue it, or cudc-bench collect --fresh to start over.\n"
     )
     assert sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*")) == before
