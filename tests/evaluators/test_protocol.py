@@ -225,7 +225,7 @@ def test_the_score_at_the_end_is_the_mean_of_the_last_evaluation_points(smoke, t
     report = cudc_bench.make_leaderboard(results(tmp_path), None)
     (table,) = report.tables
     assert table.episodes == {40: (1, 1), 80: (6, 6)}
-    (cell,) = [cell for cell in table.cells.values() if cell.mean == pytest.approx(record.score(80))]
+    (cell,) = [cell for cell in table.cells.values() if cell.value == pytest.approx(record.score(80))]
     assert cell.n == 1
     # The training is the same however often it is looked at, and so is what the last policy gets.
     ((one, alone),) = evaluated(tmp_path / "alone", **options | {"settings": options["settings"] | {"final_evaluations": "1"}})
