@@ -6,7 +6,10 @@ import re
 import sys
 from importlib.metadata import version as installed
 from pathlib import Path
+from typing import ClassVar
 
+from pygments.lexer import RegexLexer
+from pygments.token import Token
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 
@@ -31,7 +34,7 @@ napoleon_attr_annotations = False
 # A command's prompt and comments are not copied with it.
 copybutton_prompt_text = "$ "
 # Tables of commands are no languages.
-highlight_language = "none"
+highlight_language = "words"
 
 html_theme = "furo"
 html_title = "cudc-bench"
@@ -44,8 +47,15 @@ html_show_sphinx = False
 _LOADED = re.compile(r"""<(?:script|img|iframe|source)[^>]*\ssrc=["'](?:https?:)?//[^"']+|<link[^>]*\shref=["'](?:https?:)?//[^"']+""")
 
 
+class Words(RegexLexer):
+    """Words are pieces of their own, so that a narrow page breaks a command between them and not at an option's hyphens."""
+
+    tokens: ClassVar = {"root": [(r"\S+", Token.Text.Word), (r"\s+", Token.Text.Whitespace)]}
+
+
 def setup(app: Sphinx) -> None:
     """Fill the generated parts in, and refuse pages that load anything from elsewhere."""
+    app.add_lexer("words", Words)
     app.connect("source-read", lambda app, name, source: source.__setitem__(0, fill(source[0])))
     app.connect("build-finished", _check_offline)
 
