@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.measure import Row
 from cudc_bench import plugins
-from cudc_bench.collectors.running.journal import DatasetSink
+from cudc_bench.collectors.running.dataset_sink import DatasetSink
 from cudc_bench.collectors.running.loop import _Run as Collection
 from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.envs import check_domain

@@ -14,7 +14,7 @@ from benchmarks.measure import Row, fastest_interleaved
 from benchmarks.updates import SPACE
 from cudc_bench import plugins
 from cudc_bench.collectors.contract import batch_for
-from cudc_bench.collectors.running.journal import DatasetSink
+from cudc_bench.collectors.running.dataset_sink import DatasetSink
 from cudc_bench.execution.parallel import cores
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.learning.networks import MemberRandom

@@ -13,7 +13,7 @@ import torch
 from benchmarks.measure import Row, fastest
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Sizes
-from cudc_bench.collectors.running.journal import DatasetSink
+from cudc_bench.collectors.running.dataset_sink import DatasetSink
 from cudc_bench.collectors.running.loop import _Run as Collection
 from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.envs import DOMAINS, check_domain

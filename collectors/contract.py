@@ -43,7 +43,7 @@ from cudc_bench.learning.replay import Batch, Episodes
 from .base import Collector, Sizes
 from .ddpg import DDPG
 from .representation import effective_rank, spread
-from .running.journal import DatasetSink
+from .running.dataset_sink import DatasetSink
 from .running.loop import CollectConfig, run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}

@@ -270,7 +270,7 @@ class CUDC(MovingHorizon):
             return random.uniform(size, size)
         return (torch.eye(size, device=self.device) / math.sqrt(size)).repeat(random.count, 1, 1)
 
-    # Belief: dynamics in the learned space, and reachability
+    # Auxiliary models: dynamics in the learned space, and reachability
 
     def features(self, batch: Batch) -> Features:
         """Everything that losses, weights and reward are functions of, each network applied once."""
@@ -376,7 +376,8 @@ class CUDC(MovingHorizon):
             self.older_keys[:, rows] = keys
             self.keys_seen.add_(keys.shape[1])
         # Without the module there is no w; k has no room to grow then.
-        batch.signal = getattr(f, _SIGNALS.get(config.k_rule, ""), None)
+        looks = config.k_rule in _SIGNALS and (config.k_rule != "weight" or config.reach)
+        batch.signal = getattr(f, _SIGNALS[config.k_rule]) if looks else None
         p = self.move_horizon(batch.signal)
         return measured if p is None or not batch.measure else measured | {"p": p}
 

@@ -78,8 +78,8 @@ class DDPG(Collector, Learner):
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64, device=self.device))
         self.register_buffer("k", torch.full((members,), config.horizon, dtype=torch.int64, device=self.device))
         self.register_buffer("skill", torch.zeros(members, self.skill_size, device=self.device))
-        if believers := self.build(weights):
-            self.add_optimiser("belief", believers, config.learning_rate)
+        if trained := self.build(weights):
+            self.add_optimiser("belief", trained, config.learning_rate)
 
     # What a method says
 

@@ -34,7 +34,7 @@ from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
 from cudc_bench.stages import Planned
 
-from .journal import DatasetSink
+from .dataset_sink import DatasetSink
 from .loop import run_collection
 from .run_spec import NoThresholdError, RunSpec, resolve, say_whose_values
 

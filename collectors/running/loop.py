@@ -119,7 +119,7 @@ class _Run(Interaction):
             collector, domain, config, getattr(collector, "random", {}).values(),
             learns=collector.learns, quantities=bool(domain.descriptors), skill=collector.skill_size,
         )  # fmt: skip
-        self._collector, self._config, self._sinks, self._watcher = collector, config, sinks, callback
+        self._collector, self._config, self._sinks, self._callback = collector, config, sinks, callback
         self._skills = np.empty((len(collector.seeds), domain.episode_length + 1, collector.skill_size), np.float32)
         # Of the quantities of the episode that is under way, those from ``counted`` on are not in ``visits`` yet.
         self._visits = [Visits(domain) for _ in collector.seeds] if domain.descriptors else []
@@ -141,8 +141,8 @@ class _Run(Interaction):
         return (step + config.update_every) % self._row_every == 0 or step + config.update_every >= config.steps
 
     def learnt(self, batch: Batch) -> None:
-        if self._watcher is not None:
-            self._watcher.after_update(batch)
+        if self._callback is not None:
+            self._callback.after_update(batch)
 
     def step(self) -> None:
         """One step of every member, the update that is due after it, and the line of diagnostics."""
@@ -186,7 +186,7 @@ class _Run(Interaction):
             "skills": torch.from_numpy(self._skills[:, : t + 1].copy()),
             "visits": [torch.from_numpy(counts.counts.copy()) for counts in self._visits],
             "counted": self._counted,
-            "watcher": None if self._watcher is None else self._watcher.state_dict(),
+            "watcher": None if self._callback is None else self._callback.state_dict(),
         }
 
     def load_state(self, steps: int, state: dict[str, Any]) -> None:
@@ -195,6 +195,6 @@ class _Run(Interaction):
         self._skills[:, : steps % self.domain.episode_length + 1] = state["skills"].cpu().numpy()
         for counts, values in zip(self._visits, state["visits"], strict=True):
             counts.counts[:] = values.cpu().numpy()
-        if self._watcher is not None:
-            self._watcher.load_state_dict(state["watcher"])
+        if self._callback is not None:
+            self._callback.load_state_dict(state["watcher"])
         self._timed_from = (steps, time.perf_counter())

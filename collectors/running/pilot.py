@@ -33,7 +33,7 @@ from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.profiles import Profile, resolve_profile
 
-from .journal import DatasetSink
+from .dataset_sink import DatasetSink
 from .loop import run_collection
 from .run_spec import RunSpec, resolve
 from .thresholds import read_thresholds, settings_key, thresholds_path, write_thresholds

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING
 
 from cudc_bench.artefacts.records import Record
 
@@ -13,9 +12,6 @@ from .grid import Entry
 from .overall import Estimate
 from .scale import References
 from .table import Runs, seed_scores
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)

@@ -113,10 +113,7 @@ def _bring(output: Path, parts: Sequence[Target], ledger: Mapping[str, Any]) -> 
     stale = [part for part in parts if not _is_current(output, part, keys[part.place], ledger)]
     entries = {part.place: ledger[part.place] for part in parts if part not in stale}
     for part, contents in zip(stale, computed([part.make for part in stale], "making files", "parts"), strict=True):
-        sums = {
-            name: hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
-            for name, content in contents.items()
-        }
+        sums = {name: _hash(content) for name, content in contents.items()}
         write_files(output / part.folder, contents)
         entries[part.place] = {"key": keys[part.place], "folder": part.folder, "files": sums}
     return entries

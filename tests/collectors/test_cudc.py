@@ -164,7 +164,7 @@ def random_walker():
 
 @pytest.mark.parametrize("action_target", ["stopgrad", "live"])
 def test_the_representation_learns_and_a_live_action_target_collapses(random_walker, action_target):
-    # The belief alone, on 40 episodes of random actions: the pilot behind the choice of targets, at a smaller width.
+    # The auxiliary models alone, on 40 episodes of random actions: the pilot behind the choice of targets, at a smaller width.
     sizes = Sizes("walker", 24, 6, 1000, 4000, 2)
     c = CUDC(sizes, CUDCConfig(width=128, feature_dim=128, batch_size=128, action_target=action_target), [1])
     reach, batch = [], None

@@ -13,7 +13,7 @@ import pytest
 
 import cudc_bench
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.collectors.running.journal import DatasetSink
+from cudc_bench.collectors.running.dataset_sink import DatasetSink
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.running.loop import Arena
 from cudc_bench.execution import interrupts, runlog

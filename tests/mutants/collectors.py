@@ -246,8 +246,8 @@ AGENT = [
     *mutants(
         "collectors/ddpg.py", (*AGENTS, "apt", "proto", "rnd", "disagreement", "diayn", "cic"),
         (
-            'self.add_optimiser("belief", believers, config.learning_rate)',
-            'self.add_optimiser("belief", believers, 1.02 * config.learning_rate)',
+            'self.add_optimiser("belief", trained, config.learning_rate)',
+            'self.add_optimiser("belief", trained, 1.02 * config.learning_rate)',
         ),
     ),
     *mutants(

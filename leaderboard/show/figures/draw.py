@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ...numbers import figures
@@ -34,5 +35,5 @@ def study_figure_files(study: Study) -> dict[str, bytes]:
     """Each of a study's figures as ``<study>-<figure>.svg`` and ``.pdf``."""
     files: dict[str, bytes] = {}
     for name, figure in study.figures.items():
-        files |= figure_files(f"{study.name}-{name}", lambda figure=figure: draw(figure))  # type: ignore[misc]
+        files |= figure_files(f"{study.name}-{name}", partial(draw, figure))
     return files

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ...methods import looks
@@ -40,7 +41,7 @@ def task_files(runs: Runs) -> dict[str, bytes]:
     """``task-<task>.svg`` for each task that has records: its curves alone, larger, for the site; on paper there is ``curves.pdf``."""
     files: dict[str, bytes] = {}
     for task in runs.tasks:
-        files |= figure_files(f"task-{task}", lambda task=task: draw_task(runs, task), ("svg",))  # type: ignore[misc]
+        files |= figure_files(f"task-{task}", partial(draw_task, runs, task), ("svg",))
     return files
 
 
