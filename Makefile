@@ -63,8 +63,8 @@ bench: setup  ## Measure speed as ratios and print a table; see benchmarks/READM
 
 torture: setup  ## Kill real runs 200 times each and compare what comes out; start one twice at the same moment, 50 times.
 	@for what in collect "collect with skills" evaluate relabel pilot; do \
-		echo "$$what"; OMP_NUM_THREADS=1 $(BIN)/python -m tests.killing "$$what" $(KILLS) 2> /dev/null || exit 1; done
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.racing collect 50 relabel 50 evaluate 10
+		echo "$$what"; OMP_NUM_THREADS=1 $(BIN)/python -m tests.faults.killing "$$what" $(KILLS) 2> /dev/null || exit 1; done
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.faults.racing collect 50 relabel 50 evaluate 10
 
 mutants: setup  ## Change formulas in copies of the package, and say which changes their tests notice.
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants

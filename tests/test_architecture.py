@@ -263,16 +263,29 @@ except AttributeError as error:
 
 # ----------------------------------------------------------------------------------------------------------------------------- tests
 
+THROUGH_ALL = {"faults", "documents", "mutants", "stopping"}
+
+
+def test_tests_lie_where_what_they_test_lies() -> None:
+    """A test file outside the rooms is of a file outside the rooms, or of all of the package."""
+    packages = {path.parent.name for path in ROOT.glob("cudc_bench/*/__init__.py")} | set(STAGES)
+    folders = {path.parent.relative_to(ROOT / "tests").parts[0] for path in ROOT.glob("tests/*/**/*.py")}
+    assert folders <= packages | THROUGH_ALL
+    rooms = {path.parent.relative_to(ROOT / "tests").as_posix() for path in ROOT.glob("tests/leaderboard/*/*.py")}
+    assert all((ROOT / room / "__init__.py").exists() for room in rooms)
+    loose = {path.stem.removeprefix("test_") for path in ROOT.glob("tests/test_*.py")}
+    assert {name for name in loose if name.rstrip("s") in packages or name in packages} == set()
+
 
 def test_the_list_of_slow_tests_is_read_from_what_pytest_prints_and_names_tests_that_exist() -> None:
     printed = """
 0.30s call     tests/a.py::TestB::test_c[x y]
 0.20s setup    tests/a.py::TestB::test_c[z::[1]]
 0.39s call     tests/a.py::test_d
-2.00s teardown tests/core/e.py::test_f
+2.00s teardown tests/data/e.py::test_f
 3 passed in 3.00s
 """
-    assert slow_in(printed.splitlines()) == ["tests/a.py::TestB::test_c", "tests/core/e.py::test_f"]
+    assert slow_in(printed.splitlines()) == ["tests/a.py::TestB::test_c", "tests/data/e.py::test_f"]
     for test in slow_tests():
         path, *_, name = test.split("::")
         # Those of the batteries stand in the battery.

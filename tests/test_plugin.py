@@ -16,10 +16,11 @@ import cudc_bench
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.records import read_record
+from tests import ROOT
 
 from .waiting import PATIENCE
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+EXAMPLES = ROOT / "examples"
 PACKAGES = {"plugin": "test_re3.py", "learner": "test_awac.py"}  # each with its tests
 SITES = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
 

@@ -20,10 +20,10 @@ import torch
 import cudc_bench
 from cudc_bench.data.writer import Episode
 from cudc_bench.errors import UsageError
+from tests import ROOT
 
 from ..waiting import PATIENCE
 
-ROOT = Path(__file__).resolve().parents[2]
 ID, UNLABELLED = "walker/walk/made-v0", "walker/made-v0"
 # Of different lengths, so that a reader which is wrong by a row an episode cannot be right by chance; the shortest has a single step.
 LENGTHS = (40, 1, 17, 250, 3, 60, 2, 33, 5)

@@ -26,9 +26,9 @@ import pytest
 import torch
 
 import tests.mutants
+from tests import ROOT
 from tests.mutants import Mutant
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 STAGES = ("collectors", "relabelers", "evaluators", "leaderboard")
 SLOW = ("hypothesis", "numpy", "pydantic", "torch.distributions", "torch.testing", "torch.utils._python_dispatch")  # to import
 PATIENCE = 120  # seconds of a processor's time, for a mutant that never ends

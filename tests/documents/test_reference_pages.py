@@ -20,7 +20,7 @@ from cudc_bench.artefacts.references import Reference
 from cudc_bench.settings.config import Finite, PositiveInt, UnitInterval, build
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 
-from .documents import PAGES, ROOT
+from .pages import PAGES, ROOT
 
 _SPEC = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
 assert _SPEC is not None

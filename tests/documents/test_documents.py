@@ -26,7 +26,7 @@ from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.settings.seeds import parse_seeds
 from cudc_bench.suites.definition import load_suite, suite_names
 
-from .documents import PAGES, ROOT, blocks, commands, spans
+from .pages import PAGES, ROOT, blocks, commands, spans
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # What a page may import that the tests' environment lacks: extras, and a library that is no part of any.

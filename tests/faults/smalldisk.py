@@ -1,8 +1,8 @@
 """A process that runs commands on a disk of its own, as small and as read-only as a test wants it.
 
-``python -m tests.smalldisk FOLDER`` takes requests as lines of JSON; :class:`SmallDisk` starts it in a user and mount namespace, where a
-tmpfs can be mounted without being seen by, or needing anything of, the rest of the machine. Commands run in processes that are forked from
-one that has imported everything, which saves seconds for each.
+``python -m tests.faults.smalldisk FOLDER`` takes requests as lines of JSON; :class:`SmallDisk` starts it in a user and mount namespace,
+where a tmpfs can be mounted without being seen by, or needing anything of, the rest of the machine. Commands run in processes that are
+forked from one that has imported everything, which saves seconds for each.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests import ROOT
+
 BALLAST = "ballast"
 
 
@@ -50,7 +51,7 @@ class SmallDisk:
     def __init__(self, folder: Path) -> None:
         self.place = folder / "disk"
         self.place.mkdir()
-        command = ["unshare", "-rm", sys.executable, "-m", "tests.smalldisk", str(folder)]
+        command = ["unshare", "-rm", sys.executable, "-m", "tests.faults.smalldisk", str(folder)]
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.seen = Path(f"/proc/{self._ask(hello=True)}/root{self.place}")
 

@@ -19,11 +19,11 @@ import pytest
 import cudc_bench
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import verify_fingerprint
+from tests import ROOT
 
+from ..waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
 from .killing import CALLS
-from .waiting import PATIENCE, STOPS_ITSELF, has_stopped, wait_for
 
-ROOT = Path(__file__).resolve().parent.parent
 RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random", "--checkpoint-every", "0"]
 COLLECT = [*RANDOM, "--set", "steps=8000"]
 TWO = [*RANDOM, "--set", "steps=6000", "--seeds", "1-2", "--workers", "2"]
@@ -33,7 +33,7 @@ KILLS = {"collect": 12, "evaluate": 6, "relabel": 6, "pilot": 3, "reference": 3,
 
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     """One process for all commands: to import everything, and to make what they start from, takes as long as many kills."""
-    command = [sys.executable, "-m", "tests.killing", *(str(word) for pair in KILLS.items() for word in pair)]
+    command = [sys.executable, "-m", "tests.faults.killing", *(str(word) for pair in KILLS.items() for word in pair)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     found = {what: json.loads(rest) for what, rest in (line.split("\t") for line in done.stdout.splitlines())}

@@ -28,7 +28,7 @@ from cudc_bench.envs import DOMAINS
 from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.suites.definition import suite_names
 
-from .evaluators.runs import write_run
+from ..evaluators.runs import write_run
 
 EXAMPLES, LEAST = 20, 17  # drawn for each attack, and how many of them must differ
 LONGEST_ANSWER = 3_000  # characters

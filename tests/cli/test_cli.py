@@ -20,8 +20,8 @@ from cudc_bench.artefacts.records import read_record
 from cudc_bench.cli.app import main
 from cudc_bench.errors import DEBUG
 
-from .served import Finished
-from .waiting import PATIENCE, wait_for
+from ..served import Finished
+from ..waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (

@@ -16,8 +16,8 @@ from cudc_bench.leaderboard.numbers.published import reported
 from cudc_bench.leaderboard.numbers.scale import BETWEEN
 from cudc_bench.leaderboard.numbers.statistics import Interval
 from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
+from tests import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 BLOCK = ROOT / "results" / "cpu" / "walker"
 METHODS = ("random", "icm", "apt", "aps", "cudc")
 TASKS = ("stand", "walk", "run", "flip")

@@ -1,8 +1,8 @@
 """Kills real runs with SIGKILL at random moments, resumes them, and compares what comes out with an uninterrupted run, byte by byte.
 
-``python -m tests.killing collect 200`` does so 200 times; the test suite a few times, and for several commands in one process. A moment is
-a point in time, or just before or after a call by which a run changes what is on the disk: each such call of an uninterrupted run is as
-likely as any other of its function. Processes are forked from one that has imported everything, which saves seconds for each.
+``python -m tests.faults.killing collect 200`` does so 200 times; the test suite a few times, and for several commands in one process. A
+moment is a point in time, or just before or after a call by which a run changes what is on the disk: each such call of an uninterrupted run
+is as likely as any other of its function. Processes are forked from one that has imported everything, which saves seconds for each.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ import cudc_bench
 from cudc_bench.cli.app import main
 from cudc_bench.envs.drawing import probe
 
-from .documents import PAGES, ROOT, block, blocks, commands
-from .waiting import PATIENCE
+from ..waiting import PATIENCE
+from .pages import PAGES, ROOT, block, blocks, commands
 
 FIRST, LEARNER, METHOD = (f"docs/tutorials/{name}.md" for name in ("first-number", "own-learner", "own-method"))
 REWARD, DOMAIN, DATA = (f"docs/tutorials/{name}.md" for name in ("own-reward", "own-domain", "read-data"))

@@ -1,8 +1,8 @@
 """Starts one command twice at the same moment, many times over: one process does the work, and the other says who does.
 
-``python -m tests.racing collect 50`` does so 50 times; several commands may follow each other. Processes are forked from one that has
-imported everything, and wait on a pipe for the start. How far they are apart is left to the machine, which may let one come when the other
-is done; so in every second race the one that has taken the lock waits until the other has ended.
+``python -m tests.faults.racing collect 50`` does so 50 times; several commands may follow each other. Processes are forked from one that
+has imported everything, and wait on a pipe for the start. How far they are apart is left to the machine, which may let one come when the
+other is done; so in every second race the one that has taken the lock waits until the other has ended.
 """
 
 from __future__ import annotations
