@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.artefacts.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, exists, fingerprint, read_manifest
+from cudc_bench.artefacts.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, fingerprint, read_manifest
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
 from cudc_bench.data.layout import MAIN_FILE
 from cudc_bench.data.measure import Coverage, measure_coverage
@@ -24,10 +24,11 @@ from cudc_bench.data.reader import read_episodes
 from cudc_bench.data.staging import checkpoints_path, publish, staging, tidy
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, interrupts
 from cudc_bench.execution.progress import bars, say
 from cudc_bench.files import check_folder, remove_empty, unwritable
+from cudc_bench.runs.existing import dataset_stands
 
 from .linked import write_linked
 
@@ -138,12 +139,8 @@ class _Wanted:
 
     def is_made(self, task: str) -> bool:
         """Whether the dataset of a task exists and is what this would make."""
-        dataset_id = self.ids[task]
-        try:
-            there = read_manifest(dataset_id) if exists(dataset_id) else None
-        except (UsageError, RunError):
-            return False
-        return there is not None and (there.task, there.base, there.reward) == (task, self.origin, self.function)
+        wanted = (task, self.origin, self.function)
+        return dataset_stands(self.ids[task], lambda there: (there.task, there.base, there.reward) == wanted)
 
 
 def _make(wanted: _Wanted, left: dict[str, DatasetId], overwrite: bool) -> None:

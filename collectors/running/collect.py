@@ -14,14 +14,14 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
-from cudc_bench.artefacts.manifest import Manifest, check_free, exists, fingerprint, read_manifest
+from cudc_bench.artefacts.manifest import Manifest, check_free, fingerprint
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
 from cudc_bench.data.diagnostics import DIAGNOSTICS
 from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.staging import checkpoints_path, is_untidy, publish, staging, tidy
 from cudc_bench.data.writer import write_episodes
 from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
 from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.execution.progress import Advance, say
@@ -29,6 +29,7 @@ from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.runs.execution import Execution, Work
+from cudc_bench.runs.existing import dataset_stands
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds, format_seeds
@@ -185,14 +186,13 @@ class _Stack:
 
 def _is_made(setting: RunSpec, seed: int, dataset_id: DatasetId) -> bool:
     """Whether the dataset of that id exists and is what this run would make."""
-    try:
-        there = read_manifest(dataset_id) if exists(dataset_id) else None
-    except (UsageError, RunError):
-        return False
-    if there is None or there.task is not None or there.imported is not None:
-        return False
-    wanted = (setting.method, setting.domain, setting.profile, seed, config_hash(setting.values))
-    return (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash) == wanted
+    wanted = (setting.method, setting.domain, setting.profile, seed, config_hash(setting.values), None, None)
+    return dataset_stands(
+        dataset_id,
+        lambda there: (
+            (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash, there.task, there.imported) == wanted
+        ),
+    )
 
 
 def _target(setting: RunSpec, execution: Execution, seed: int, dataset_id: DatasetId) -> LogTarget | None:

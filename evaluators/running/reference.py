@@ -19,7 +19,7 @@ from cudc_bench.artefacts.records import Evaluation, TrainingMetrics
 from cudc_bench.artefacts.references import Reference, ReferenceRun, read_reference, reference_path, write_reference
 from cudc_bench.data.writer import EpisodeShards
 from cudc_bench.envs import check_domain, check_tasks
-from cudc_bench.errors import BrokenDownError, RunError, UsageError
+from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
@@ -29,6 +29,7 @@ from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.runs.execution import Execution, Work
+from cudc_bench.runs.existing import result_stands
 from cudc_bench.settings.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.settings.evaluate_config import OnlineConfig
 from cudc_bench.settings.profiles import resolve_profile
@@ -264,17 +265,12 @@ def _done(plan: ReferencePlan, task: str) -> bool:
     Raises:
         UsageError: another one stands in its place.
     """
-    path = plan.path(task)
-    if not path.exists():
-        return False
-    try:
-        there = read_reference(path)
-    except RunError as error:
-        raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
-    if (there.hyperparameters_hash, tuple(sorted(there.seeds))) == (config_hash(plan.values), plan.seeds):
-        return True
-    raise UsageError(
-        f"{path} is another reference (of seeds {format_seeds(there.seeds)}, or with other settings); use --overwrite or another --output."
+    wanted = (config_hash(plan.values), plan.seeds)
+    return result_stands(
+        plan.path(task),
+        read_reference,
+        lambda there: (there.hyperparameters_hash, tuple(sorted(there.seeds))) == wanted,
+        lambda there: f"is another reference (of seeds {format_seeds(there.seeds)}, or with other settings)",
     )
 
 

@@ -15,11 +15,12 @@ from cudc_bench.artefacts.ids import default_id
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.files import remove_empty_above
+from cudc_bench.runs.existing import result_stands
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import in_full
 
@@ -153,16 +154,12 @@ def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Ca
     Raises:
         UsageError: another run stands in its place.
     """
-    if not path.exists():
-        return False
-    try:
-        record = read_record(path)
-    except RunError as error:
-        raise RunError(f"{str(error).rstrip('.')}; use --overwrite or another --output.") from None
-    made = (in_full(record.hyperparameters), record.dataset.used, record.seed)
-    if made == (plan.values, used, seed) and is_same(record.dataset):
-        return True
-    raise UsageError(f"{path} records another run (other data or settings); use --overwrite or another --output.")
+
+    def is_of_it(record: Record) -> bool:
+        made = (in_full(record.hyperparameters), record.dataset.used, record.seed)
+        return made == (plan.values, used, seed) and is_same(record.dataset)
+
+    return result_stands(path, read_record, is_of_it, lambda _: "records another run (other data or settings)")
 
 
 def record_of(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
