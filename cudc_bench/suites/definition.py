@@ -46,8 +46,8 @@ _OF_A_STUDY = ("methods", "domains", "tasks", "algos", "dataset_shares", "stats"
 
 
 @dataclass(frozen=True)
-class Study:
-    """One comparison.
+class SuiteStudy:
+    """One comparison of a suite.
 
     Attributes:
         methods, domains: each method explores each domain.
@@ -84,7 +84,7 @@ class Suite:
 
     name: str
     description: str
-    studies: tuple[Study, ...]
+    studies: tuple[SuiteStudy, ...]
     seeds: tuple[int, ...]
     profile: str = "auto"
     collect: Mapping[str, Any] = field(default_factory=dict)
@@ -157,7 +157,7 @@ class _Kept:
         domains = [(study, domain) for study in suite.studies for domain in _those(study.domains, self.domains)]
         _among(suite, "task", self.tasks, [name for study, domain in domains for name in study.tasks_of(domain)])
 
-    def parts(self, study: Study) -> Iterator[Study]:
+    def parts(self, study: SuiteStudy) -> Iterator[SuiteStudy]:
         """What is kept of a study, each domain as a study of its own."""
         methods = _those(study.methods, self.methods)
         for domain in _those(study.domains, self.domains):
@@ -209,12 +209,12 @@ def _suite(name: str, path: Path) -> Suite:
     return Suite(name, found.description, studies, seeds, found.profile or "auto", found.collect or {}, found.evaluate or {})
 
 
-def _study(found: _File, where: str) -> Study:
+def _study(found: _File, where: str) -> SuiteStudy:
     if found.methods is None:
         raise UsageError(f'{where} needs methods, as in methods = ["random", "cudc"]; or suites, as in suites = ["main", "cql"].')
     if found.domains is None:
         raise UsageError(f'{where} needs domains, as in domains = ["walker"].')
-    study = Study(
+    study = SuiteStudy(
         tuple(dict.fromkeys(found.methods)), tuple(dict.fromkeys(found.domains)),
         None if found.tasks is None else tuple(dict.fromkeys(found.tasks)), tuple(dict.fromkeys(found.algos or ())),
         tuple(sorted(set(found.dataset_shares or (1.0,)))), bool(found.stats),
@@ -228,7 +228,7 @@ def _study(found: _File, where: str) -> Study:
     return study
 
 
-def _check_names(study: Study) -> None:
+def _check_names(study: SuiteStudy) -> None:
     """Refuse what is not registered, and tasks that do not fit the domains."""
     for method in study.methods:
         plugins.check_name("collectors", method)

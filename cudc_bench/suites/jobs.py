@@ -9,7 +9,7 @@ from typing import Literal
 from cudc_bench.artefacts.ids import default_id
 from cudc_bench.settings.seeds import format_seeds
 
-from .definition import Study, Suite
+from .definition import Suite, SuiteStudy
 
 Kind = Literal["pilot", "collect", "relabel", "evaluate", "stats"]
 KINDS: tuple[Kind, ...] = ("pilot", "collect", "relabel", "evaluate", "stats")
@@ -65,8 +65,8 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """All jobs of a suite.
+class JobGraph:
+    """All jobs of a suite, and which come before which.
 
     Attributes:
         needs: of each job the jobs that come before it, in an order in which all could be done.
@@ -78,7 +78,7 @@ class Plan:
         """The jobs of some kinds."""
         return [job for job in self.needs if job.kind in kinds]
 
-    def left(self, done: Iterable[Job]) -> Plan:
+    def left(self, done: Iterable[Job]) -> JobGraph:
         """What must be made when some of it exists: the jobs that are goals and not done, and what these need and is not there.
 
         A goal is what no other job of the plan needs: records, comparisons of datasets, and datasets of which nothing is made.
@@ -90,7 +90,7 @@ class Plan:
         for job, before in reversed(list(self.needs.items())):
             if job not in done and (job not in needed or job in wanted):
                 wanted |= {job, *(one for one in before if one not in done)}
-        return Plan({job: tuple(one for one in before if one in wanted) for job, before in self.needs.items() if job in wanted})
+        return JobGraph({job: tuple(one for one in before if one in wanted) for job, before in self.needs.items() if job in wanted})
 
     def users(self) -> dict[str, set[Job]]:
         """For each dataset the jobs that make or read it."""
@@ -101,7 +101,7 @@ class Plan:
         return found
 
 
-def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False) -> Plan:
+def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False) -> JobGraph:
     """The jobs of a suite, each once, whichever of its studies have it.
 
     Args:
@@ -118,7 +118,7 @@ def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[
     needs = wanted.datasets(groups, set(pilots))
     needs |= wanted.trainings(groups, stacked, [job for job in needs if job.kind == "relabel"])
     needs |= wanted.comparisons(suite.seeds, [job for job in needs if job.kind == "collect"])
-    return Plan(needs)
+    return JobGraph(needs)
 
 
 _Needs = dict[Job, tuple[Job, ...]]
@@ -138,7 +138,7 @@ class _Wanted:
         self.runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
         self.compared: dict[str, dict[str, None]] = {}
 
-    def add(self, study: Study, domain: str, steps: Mapping[tuple[str, str], int]) -> None:
+    def add(self, study: SuiteStudy, domain: str, steps: Mapping[tuple[str, str], int]) -> None:
         """What a study asks of one of its domains."""
         tasks = dict.fromkeys(study.tasks_of(domain))
         for method in study.methods:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from statistics import fmean
 
-from .jobs import KINDS, Job, Kind, Plan
+from .jobs import KINDS, Job, JobGraph, Kind
 
 _UNKNOWN = 60.0  # seconds of a job that nothing is known of
 
@@ -36,7 +36,7 @@ class Queue:
         few_datasets: finish what is begun before another dataset is: few of them exist at a time, and the last may keep others waiting.
     """
 
-    def __init__(self, plan: Plan, seconds: Mapping[Job, float | None], few_datasets: bool = False) -> None:
+    def __init__(self, plan: JobGraph, seconds: Mapping[Job, float | None], few_datasets: bool = False) -> None:
         self.plan, self._few = plan, few_datasets
         self.waiting = dict.fromkeys(plan.needs)
         self.running: set[Job] = set()

@@ -14,7 +14,7 @@ from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.parallel import all_cores
 
 from .display import Display, Running, duration, size
-from .jobs import Job, Plan
+from .jobs import Job, JobGraph
 from .pool import Given, Outcome, Progress, job_worker, understood
 from .queue import Failure, Queue
 from .work import Common, finish_removal, made_by, remove
@@ -31,7 +31,7 @@ class Retention:
         common: to all of them.
     """
 
-    def __init__(self, plan: Plan, left: Plan, common: Common) -> None:
+    def __init__(self, plan: JobGraph, left: JobGraph, common: Common) -> None:
         self._users = {one: users & left.needs.keys() for one, users in plan.users().items()}
         self._all = [one for job in plan.of("collect", "relabel") for one in made_by(job)]
         self._common = common

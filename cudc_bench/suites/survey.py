@@ -11,7 +11,7 @@ from cudc_bench.errors import UsageError
 from cudc_bench.stages import Planned, check_relabelled
 
 from .definition import Suite
-from .jobs import Job, Plan, expand
+from .jobs import Job, JobGraph, expand
 from .work import Common, is_measured
 
 
@@ -25,7 +25,7 @@ class Survey:
         totals: units of work of each job: environment steps, states or gradient steps, for one member.
     """
 
-    plan: Plan
+    plan: JobGraph
     done: frozenset[Job]
     totals: dict[Job, int]
 

@@ -245,7 +245,7 @@ def test_the_command_says_what_came_out(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_training_online_is_logged_as_it_is_kept(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
-    from tests.core.test_runlog import check_rows, scalars
+    from tests.execution.test_runlog import check_rows, scalars
 
     (path,) = made(tmp_path, seeds=(1,), log="tensorboard", log_dir=tmp_path / "runs")
     (run,) = read_reference(path).runs

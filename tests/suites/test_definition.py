@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cudc_bench.errors import UsageError
-from cudc_bench.suites.definition import Study, Suite, load_suite, suite_names
+from cudc_bench.suites.definition import Suite, SuiteStudy, load_suite, suite_names
 
 OWN = """
 description = "mine"
@@ -37,7 +37,7 @@ def refusal(path: Path, text: str | bytes) -> str:
 def test_a_file_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "my.suite.toml"
     path.write_text(OWN)
-    study = Study(("random", "cudc"), ("walker", "jaco"), ("walk", "reach_top_left"), ("td3", "bc"), (0.25, 1.0))
+    study = SuiteStudy(("random", "cudc"), ("walker", "jaco"), ("walk", "reach_top_left"), ("td3", "bc"), (0.25, 1.0))
     assert (study.tasks_of("walker"), study.tasks_of("jaco")) == (("walk",), ("reach_top_left",))
     milestones = {"gradient_steps": 10, "milestones": [5, 10]}
     assert load_suite(str(path)) == Suite("my.suite", "mine", (study,), (1, 2, 7), "cpu", {"steps": 1000}, milestones)

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cudc_bench.errors import UsageError
-from cudc_bench.suites.definition import Study, Suite, load_suite, narrow, suite_names
+from cudc_bench.suites.definition import Suite, SuiteStudy, load_suite, narrow, suite_names
 from cudc_bench.suites.estimate import Estimates, Rates, from_table
-from cudc_bench.suites.jobs import Job, Plan, expand
+from cudc_bench.suites.jobs import Job, JobGraph, expand
 from cudc_bench.suites.queue import Queue
 
 MAIN = ("random", "icm", "apt", "proto", "aps", "cudc")
@@ -29,7 +29,7 @@ def plan(name, **narrower):
     return expand(narrow(load_suite(name), **narrower), Anything())
 
 
-def count(found: Plan):
+def count(found: JobGraph):
     return Counter(job.kind for job in found.needs)
 
 
@@ -118,7 +118,7 @@ def test_only_what_is_still_needed_is_left() -> None:
     assert found.left([walk]).needs[run] == (relabel,)
     assert found.left([collect, relabel, walk]).needs == {run: ()}
     # Datasets of which nothing is made are a goal themselves, those that are only compared are not.
-    alone = expand(Suite("x", "", (Study(("random",), ("walker",)),), (1,)), Anything())
+    alone = expand(Suite("x", "", (SuiteStudy(("random",), ("walker",)),), (1,)), Anything())
     assert list(alone.left([]).needs) == list(alone.needs) == [Job("collect", "walker", ("random",), (1,))]
     density = plan("density", methods=["random"], seeds=[1])
     assert list(density.left(density.of("stats")).needs) == []
@@ -127,7 +127,7 @@ def test_only_what_is_still_needed_is_left() -> None:
 def test_narrowing_keeps_what_is_named_and_refuses_what_is_not_there() -> None:
     main = load_suite("main")
     part = narrow(main, methods=["cudc", "icm"], domains=["jaco"], tasks=["reach_top_left"], algos=["bc", "iql"], seeds=[7], profile="cpu")
-    assert part.studies == (Study(("icm", "cudc"), ("jaco",), ("reach_top_left",), ("bc", "iql")),)
+    assert part.studies == (SuiteStudy(("icm", "cudc"), ("jaco",), ("reach_top_left",), ("bc", "iql")),)
     assert (part.seeds, part.profile) == ((7,), "cpu")
     # One task of each domain: whoever has none of them is left out.
     assert [(one.domains, one.tasks) for one in narrow(main, tasks=["walk"]).studies] == [
@@ -156,7 +156,7 @@ A, B = (Job("collect", "walker", (name,), (1,)) for name in ("random", "cudc"))
 A1, A2, B1 = (
     Job("evaluate", "walker", (name,), (1,), (task,), "td3") for name, task in (("random", "walk"), ("random", "run"), ("cudc", "walk"))
 )
-SMALL = Plan({A: (), B: (), A1: (A,), A2: (A,), B1: (B,)})
+SMALL = JobGraph({A: (), B: (), A1: (A,), A2: (A,), B1: (B,)})
 SECONDS = {A: 10.0, B: 50.0, A1: 30.0, A2: 20.0, B1: 30.0}
 
 
