@@ -51,7 +51,7 @@ def collect(
     """Explore a domain without rewards and write Minari datasets."""
     from cudc_bench import plugins
     from cudc_bench.envs import check_domain
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
     from cudc_bench.settings.config import parse_settings
 
     from .running.collect import collect as run
@@ -77,7 +77,7 @@ def collect(
     for one in ids:
         print(one)
     relabel = f": cudc-bench relabel {ids[0]}, or" if check_domain(domain).tasks else ","
-    say(f"next{relabel} in Python: minari.load_dataset('{ids[0]}')")
+    echo(f"next{relabel} in Python: minari.load_dataset('{ids[0]}')")
 
 
 def pilot(
@@ -120,7 +120,7 @@ def import_exorl(
 ) -> None:
     """Turn episode files of ExORL or URLB into a Minari dataset."""
     from cudc_bench.artefacts.manifest import read_manifest
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     from .importing.import_exorl import import_exorl as run
 
@@ -135,8 +135,8 @@ def import_exorl(
     print(one)
     manifest = read_manifest(one)
     if manifest.task is not None:
-        say(f"next: cudc-bench evaluate --dataset-id {one}")
+        echo(f"next: cudc-bench evaluate --dataset-id {one}")
     elif "infos/physics" in manifest.fields:
-        say(f"next: cudc-bench relabel {one}, then cudc-bench evaluate --dataset-id {one}")
+        echo(f"next: cudc-bench relabel {one}, then cudc-bench evaluate --dataset-id {one}")
     else:
-        say(f"next, in Python: minari.load_dataset('{one}')")
+        echo(f"next, in Python: minari.load_dataset('{one}')")

@@ -261,7 +261,7 @@ class CollectorContract:
             def advance(steps: int) -> None:
                 told[0] += steps
                 if told[0] >= stop:
-                    interrupts.ask()
+                    interrupts.request_stop()
 
             folder.mkdir(exist_ok=True)
             with interrupts.leaving_gracefully(), open_log(None) as log:

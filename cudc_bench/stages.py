@@ -16,7 +16,7 @@ from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.execution.progress import say
+from cudc_bench.execution.progress import echo
 from cudc_bench.settings.profiles import resolve_profile
 
 
@@ -70,10 +70,10 @@ def ensure_collected(
     ids = check_collected(method, domain, seeds, profile=profile)
     for one in ids:
         if exists(one) and (manifest := read_manifest(one)).imported is not None:
-            say(f"{one} was not collected here: {manifest.describe()}")
+            echo(f"{one} was not collected here: {manifest.describe()}")
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
-        say(f"{', '.join(str(default_id(domain, method, seed)) for seed in missing)} missing: collecting first")
+        echo(f"{', '.join(str(default_id(domain, method, seed)) for seed in missing)} missing: collecting first")
         plugins.load("stages", "collect")(method, domain, missing, profile=profile, device=device, workers=workers)
     return [str(one) for one in ids]
 
@@ -88,7 +88,7 @@ def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomR
     ids = check_relabelled(base_id, tasks, reward)
     missing = [task for task, one in ids.items() if not exists(one)]
     if missing:
-        say(f"{', '.join(str(ids[task]) for task in missing)} missing: relabelling first")
+        echo(f"{', '.join(str(ids[task]) for task in missing)} missing: relabelling first")
         relabel = plugins.load("stages", "relabel")
         if reward is None:
             relabel(base_id, missing)

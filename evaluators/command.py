@@ -63,7 +63,7 @@ def evaluate(
     fresh: FreshOption = False,
 ) -> None:
     """Train offline algorithms on relabelled datasets and record its scores."""
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
     from cudc_bench.settings.config import parse_settings
 
     from .running.evaluate import evaluate as run
@@ -79,7 +79,7 @@ def evaluate(
     )  # fmt: skip
     for path in paths:
         print(path)
-    say(f"next: cudc-bench leaderboard {output}")
+    echo(f"next: cudc-bench leaderboard {output}")
 
 
 def reference(
@@ -100,7 +100,7 @@ def reference(
 ) -> None:
     """Measure random actions, and TD3 trained online on tasks: the floor and the ceiling that scores are normalised between."""
     from cudc_bench.artefacts.references import read_reference
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
     from cudc_bench.settings.config import parse_settings
 
     from .running.reference import make_references
@@ -114,5 +114,5 @@ def reference(
         print(path)
         found = read_reference(path)
         bounds = found.bounds
-        say(f"{found.task}: random {bounds.floor:.1f}, untrained {bounds.untrained:.1f}, trained online {bounds.ceiling:.1f}")
-    say(f"next: cudc-bench leaderboard {output}")
+        echo(f"{found.task}: random {bounds.floor:.1f}, untrained {bounds.untrained:.1f}, trained online {bounds.ceiling:.1f}")
+    echo(f"next: cudc-bench leaderboard {output}")

@@ -26,7 +26,7 @@ def leaderboard(
     """Turn run records into tables, learning curves and a static site."""
     from rich.console import Console
 
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     from . import api
     from .show import terminal
@@ -43,9 +43,9 @@ def leaderboard(
         screen.print(terminal.of_study(study))
         screen.print()
     for problem in report.problems:
-        say(f"problem: {problem}")
+        echo(f"problem: {problem}")
     for missing in report.missing:
-        say(f"missing: {missing}")
+        echo(f"missing: {missing}")
     for file in report.files:
         if file.suffix != ".html":
             typer.echo(file)
@@ -62,7 +62,7 @@ def submit(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Check somebody else's records and add them to ours, marked as theirs."""
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     from .intake.submit import RefusedError
     from .intake.submit import submit as run
@@ -73,13 +73,13 @@ def submit(
         if len(error.problems) == 1:
             raise
         for problem in error.problems:
-            say(f"problem: {problem}")
+            echo(f"problem: {problem}")
         raise UsageError(f"nothing was added: there are {len(error.problems)} problems.") from None
     for remark in received.remarks:
-        say(f"note: {remark}")
+        echo(f"note: {remark}")
     for file in received.files:
         typer.echo(file)
-    say(f"next: cudc-bench leaderboard {output}")
+    echo(f"next: cudc-bench leaderboard {output}")
 
 
 def diagnostics(
@@ -120,13 +120,13 @@ def _methods(text: str | None) -> tuple[str, ...] | None:
 def _show(parts: Iterable[Group], remarks: Iterable[str], files: Iterable[Path]) -> None:
     from rich.console import Console
 
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     screen = Console(highlight=False)
     for part in parts:
         screen.print(part)
         screen.print()
     for remark in remarks:
-        say(f"note: {remark}")
+        echo(f"note: {remark}")
     for file in files:
         typer.echo(file)

@@ -43,7 +43,7 @@ def canonical(method: str) -> str:
     return ALIASES.get(method, method)
 
 
-def looks(methods: Sequence[str]) -> dict[str, dict[str, Any]]:
+def styles(methods: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and line style of each method: fixed for this project's, in turn for others."""
     others = [method for method in methods if method not in COLOURS and method not in _STYLED]
     found: dict[str, dict[str, Any]] = {}

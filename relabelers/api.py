@@ -26,7 +26,7 @@ from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, interrupts
-from cudc_bench.execution.progress import bars, say
+from cudc_bench.execution.progress import bars, echo
 from cudc_bench.files import check_folder, remove_empty, unwritable
 from cudc_bench.runs.existing import dataset_stands
 
@@ -75,9 +75,9 @@ def relabel(
     for task, one in wanted.ids.items():
         if task not in left:
             tidy(one)
-            say(f"{one} was made from this very base: kept")
+            echo(f"{one} was made from this very base: kept")
     if left:
-        say(f"relabel {wanted.base_id} ({wanted.base.describe()}) for {', '.join(left)}")
+        echo(f"relabel {wanted.base_id} ({wanted.base.describe()}) for {', '.join(left)}")
         _make(wanted, left, overwrite)
     return ids
 
@@ -164,7 +164,7 @@ def _make(wanted: _Wanted, left: dict[str, DatasetId], overwrite: bool) -> None:
             except OSError as error:
                 raise unwritable(f"'{one}' below {dataset_path(one).parent}", error) from None
             mean = sum(float(column.sum(dtype=np.float64)) for column in columns) / base.steps
-            say(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
+            echo(f"wrote {one} (mean reward {mean:.3f}) to {dataset_path(one)}")
 
 
 def _rewards(

@@ -44,7 +44,7 @@ def relabel(
     from cudc_bench.envs import check_domain, check_tasks
     from cudc_bench.envs.rewards import load_reward
     from cudc_bench.execution.parallel import worker_count
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
     from cudc_bench.settings.profiles import resolve_profile
     from cudc_bench.stages import check_collected, ensure_collected
 
@@ -80,4 +80,4 @@ def relabel(
         ]
     for one in ids:
         print(one)
-    say("next: cudc-bench evaluate --algo td3" + (f" --reward {reward} --dataset-id {ids[0]}" if reward else ""))
+    echo("next: cudc-bench evaluate --algo td3" + (f" --reward {reward} --dataset-id {ids[0]}" if reward else ""))

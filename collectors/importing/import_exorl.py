@@ -23,7 +23,7 @@ from cudc_bench.data.writer import Episode, write_episodes
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
-from cudc_bench.execution.progress import Advance, bars, say
+from cudc_bench.execution.progress import Advance, bars, echo
 from cudc_bench.files import check_folder, check_path
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.seeds import check_seeds
@@ -91,9 +91,9 @@ def import_exorl(
 
     chosen = list(_first_steps(files, total if steps is None else steps))
     total = sum(length for _, length in chosen)
-    say(f"import {method} on {domain} from {folder}: {len(chosen):,} files, {total:,} steps")
+    echo(f"import {method} on {domain} from {folder}: {len(chosen):,} files, {total:,} steps")
     for line in _remarks(files, first.layout, task):
-        say(line)
+        echo(line)
     tally = _Tally()
     # An interruption while HDF5 writes would be lost in it.
     with staging(one) as building, interrupts.leaving_gracefully(saves=False):
@@ -122,8 +122,8 @@ def import_exorl(
         write_metadata(building / "data", manifest, str(one), _description(manifest, first.layout), coverage)
         publish(building, one)
     if tally.clipped:
-        say(f"{tally.clipped:,} of {written.steps * facts.action_size:,} numbers in actions were beyond [-1, 1] by rounding: clipped")
-    say(f"wrote {one} to {dataset_path(one)}")
+        echo(f"{tally.clipped:,} of {written.steps * facts.action_size:,} numbers in actions were beyond [-1, 1] by rounding: clipped")
+    echo(f"wrote {one} to {dataset_path(one)}")
     return str(one)
 
 

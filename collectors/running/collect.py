@@ -24,7 +24,7 @@ from cudc_bench.envs import Domain, check_domain, domain_title, excluded_tasks
 from cudc_bench.errors import UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
 from cudc_bench.execution.checkpoints import Checkpoints, digest
-from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder
 from cudc_bench.learning.learner import check_precision
@@ -37,7 +37,7 @@ from cudc_bench.stages import Planned
 
 from .dataset_sink import DatasetSink
 from .loop import run_collection
-from .run_spec import NoThresholdError, RunSpec, resolve, say_whose_values
+from .run_spec import NoThresholdError, RunSpec, echo_whose_values, resolve
 
 
 def collect(
@@ -106,18 +106,18 @@ def collect(
     for member in members:
         if member not in left:
             tidy(member[1])
-            say(f"{member[1]} was made by this very run: kept")
+            echo(f"{member[1]} was made by this very run: kept")
     if not work.stacks:
         return ids
-    say_whose_values(setting)
-    say(
+    echo_whose_values(setting)
+    echo(
         f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each,"
         f" {execution.device}"
     )
     work.carry_out(collect_members, unit="steps", total=setting.loop.steps, threads=chosen.threads)
     for stack in work.stacks:
         for _, one in stack.members:
-            say(f"wrote {one} to {dataset_path(one)}")
+            echo(f"wrote {one} to {dataset_path(one)}")
     return ids
 
 

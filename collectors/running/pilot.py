@@ -25,7 +25,7 @@ from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import worker_count
-from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.learning.learner import check_precision
@@ -90,7 +90,7 @@ def pilot(
     work = Work(execution, stacks, worker_count(execution.workers, len(found)))
     work.check("pilot")
     last = stacks[0].last
-    say(
+    echo(
         f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each,"
         f" {execution.device}"
     )
@@ -100,8 +100,8 @@ def pilot(
         stack.checkpoints().remove()
     remove_empty(path.parent / ".pilots")
     for result in results:
-        say(f"{result.method} on {domain}: {result.name} = {result.value:.6g}, from {result.updates:,} updates")
-    say(f"wrote {path}")
+        echo(f"{result.method} on {domain}: {result.name} = {result.value:.6g}, from {result.updates:,} updates")
+    echo(f"wrote {path}")
     return results
 
 

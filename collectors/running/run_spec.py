@@ -11,7 +11,7 @@ from cudc_bench.artefacts.manifest import Pilot
 from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError
-from cudc_bench.execution.progress import say
+from cudc_bench.execution.progress import echo
 from cudc_bench.settings.config import as_dict, build, changed, check_settings
 from cudc_bench.settings.profiles import Profile
 
@@ -103,11 +103,11 @@ def resolve(method: str, domain: str, profile: Profile, settings: Mapping[str, A
     return setting
 
 
-def say_whose_values(setting: RunSpec) -> None:
+def echo_whose_values(setting: RunSpec) -> None:
     """Say it when a method whose paper tunes it per domain has no values for this one."""
     kind, domain = setting.kind, setting.domain
     if not kind.domain_values or domain in kind.domain_values:
         return
     plain = as_dict(kind.configure(domain))
     same = [name for name in kind.domain_values if as_dict(kind.configure(name)) == plain]
-    say(f"{setting.method} has no values of its own for {domain}; it takes {'those for ' + same[0] if same else 'its defaults'}")
+    echo(f"{setting.method} has no values of its own for {domain}; it takes {'those for ' + same[0] if same else 'its defaults'}")

@@ -23,7 +23,7 @@ from shimmy.dm_control_compatibility import DmControlCompatibilityV0
 from cudc_bench.envs.domains import SUITE, Domain
 from cudc_bench.envs.simulator import DivergedError, Float32, Float64, Simulator, action_map, diverged, random_state
 from cudc_bench.errors import RunError, UsageError, unknown
-from cudc_bench.execution.progress import say
+from cudc_bench.execution.progress import echo
 
 _ELSEWHERE = f"choose another one, such as {SUITE}cheetah-run"
 # The trial that decides which rewards follow from states: so many episodes, each of so many steps and single steps from drawn states.
@@ -61,7 +61,7 @@ def suite_domain(name: str) -> Domain:
     except RuntimeError as error:
         raise UsageError(f"the domain '{name}' cannot be simulated here: {_plain(error)}; {_ELSEWHERE}.") from None
     if simulator.physics.model.nv > _LARGE:
-        say(f"looking at {name}: which rewards follow from its states")
+        echo(f"looking at {name}: which rewards follow from its states")
     with _quiet():
         reasons = {task: _obstacle(name, task) for task in suite.TASKS_BY_DOMAIN[_split(name)[0]]}
     tasks = tuple(task for task, reason in reasons.items() if reason is None)

@@ -29,15 +29,15 @@ class Crew(Generic[T]):
         """Whether a task is under way."""
         return any(worker.task is not None for worker in self._workers)
 
-    def ask(self) -> None:
+    def request_stop(self) -> None:
         """Ask the tasks that are under way to save and leave."""
         for worker in self._workers:
-            worker.ask()
+            worker.request_stop()
 
     def work(
         self,
         next_task: Callable[[], T | None],
-        hear: Callable[[T, Any], None],
+        on_news: Callable[[T, Any], None],
         is_over: Callable[[], bool] = lambda: True,
         each_round: Callable[[], None] = lambda: None,
     ) -> None:
@@ -48,15 +48,15 @@ class Crew(Generic[T]):
 
         Args:
             next_task: the task to begin now; None if there is none, or none yet.
-            hear: told of a task whatever it tells, and at last that it has ended or that its process has died, as ``Worker.news`` says it.
+            on_news: called with a task and whatever it sends; at last with ``Ended``, or with ``Died`` if its process did.
             is_over: asked while nothing is under way: whether no task will come any more.
             each_round: called five times a second, or more often.
         """
-        with interrupts.leaving_gracefully(self.ask, self._saves):
+        with interrupts.leaving_gracefully(self.request_stop, self._saves):
             try:
                 while True:
                     if interrupts.requested():
-                        self.ask()  # also of a worker that was just being started when the signal came
+                        self.request_stop()  # also of a worker that was just being started when the signal came
                     else:
                         self._give_out(next_task)
                     if not self.is_busy and (interrupts.requested() or is_over()):
@@ -66,12 +66,12 @@ class Crew(Generic[T]):
                     for worker in self._workers:
                         if (task := worker.task) is not None:
                             for news in worker.news():
-                                hear(task, news)
+                                on_news(task, news)
             except BaseException as error:
                 for worker in self._workers:
                     # Whoever asks twice does not want to wait; after an error here nobody wants the results.
                     if isinstance(error, Exception | interrupts.Interrupted):
-                        worker.ask()
+                        worker.request_stop()
                     else:
                         worker.kill()
                 raise

@@ -50,18 +50,18 @@ def requested() -> bool:
     return _asked != 0
 
 
-def ask(number: int = signal.SIGINT) -> None:
+def request_stop(number: int = signal.SIGINT) -> None:
     """Ask this process to leave, as a signal of that number does."""
     global _asked, _when
     if not _asked:
         _asked, _when = int(number), time.monotonic()
 
 
-def hear() -> None:
+def on_sigterm() -> None:
     """In a worker process: SIGTERM asks from now on, and what was asked is never forgotten."""
     global _for_good
     _for_good = True
-    signal.signal(signal.SIGTERM, lambda number, _: ask(number))
+    signal.signal(signal.SIGTERM, lambda number, _: request_stop(number))
 
 
 def interrupted(where: str) -> Interrupted:
@@ -90,7 +90,7 @@ def leaving_gracefully(pass_on: Callable[[], None] = lambda: None, saves: bool =
             if time.monotonic() - _when > _SAME:
                 raise KeyboardInterrupt
             return
-        ask(number)
+        request_stop(number)
         pass_on()
         # Whoever reads may have left by the same signal (a pipe to tee). Not through a stream: its buffer may be half written.
         with suppress(OSError, ValueError):

@@ -20,8 +20,8 @@ from typing import Any, TypeVar
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
-from cudc_bench.execution.progress import Advance, bar_if_long, bars, say
-from cudc_bench.execution.workers import Died, Ended, Tell, Worker
+from cudc_bench.execution.progress import Advance, bar_if_long, bars, echo
+from cudc_bench.execution.workers import Died, Ended, Notify, Worker
 
 T = TypeVar("T")
 _THREADS = "OMP_NUM_THREADS"  # read by torch when it is imported
@@ -123,9 +123,9 @@ def computed(functions: Sequence[Callable[[], T]], description: str, unit: str, 
                 advance(1)
             return results
 
-        def do(task: tuple[int, Job], tell: Tell) -> T:
+        def do(task: tuple[int, Job], notify: Notify) -> T:
             result = functions[task[0]]()
-            tell(1)
+            notify(1)
             return result
 
         def make() -> Worker[tuple[int, Job]]:
@@ -171,11 +171,11 @@ def _run_in_processes(
         # After a failure jobs that have not started are dropped, and the running ones are waited for: they lose nothing.
         return left.pop() if left and not errors else None
 
-    def hear(task: tuple[int, Job], news: Any) -> None:
+    def on_news(task: tuple[int, Job], news: Any) -> None:
         index, job = task
         if isinstance(news, Died):
             errors[index] = RunError(f"a worker process died ({news.how}); run the same command again.")
-            crew.ask()  # what ended it, mostly a want of memory, would end them without a chance to save
+            crew.request_stop()  # what ended it, mostly a want of memory, would end them without a chance to save
         elif not isinstance(news, Ended):
             advances[index](news)
         elif news.error is None:
@@ -183,10 +183,10 @@ def _run_in_processes(
         else:
             errors[index] = news.error
             if not isinstance(news.error, interrupts.Interrupted) and crew.is_busy:
-                say(f"{job.description} failed, the others that have begun go on: {news.error}")
+                echo(f"{job.description} failed, the others that have begun go on: {news.error}")
 
     with interrupts.leaving_gracefully():
-        crew.work(next_task, hear)
+        crew.work(next_task, on_news)
         return _results([results.get(index) for index in range(len(jobs))], [errors[index] for index in sorted(errors)], bool(left))
 
 
@@ -202,8 +202,8 @@ def _results(results: list[Any], errors: list[BaseException], left: bool) -> lis
     return results
 
 
-def _work(function: Callable[..., Any], threads: int, task: tuple[int, Job], tell: Callable[[int], None]) -> Any:
-    return _call(function, task[1], threads, tell)
+def _work(function: Callable[..., Any], threads: int, task: tuple[int, Job], notify: Callable[[int], None]) -> Any:
+    return _call(function, task[1], threads, notify)
 
 
 def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance) -> Any:

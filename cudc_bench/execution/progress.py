@@ -29,13 +29,13 @@ def console() -> Console:
     return Console(stderr=True, highlight=False)
 
 
-def say(message: str) -> None:
+def echo(message: str) -> None:
     """Print one line for people; text in it is never taken for markup, nor for what drives a terminal."""
     console().print(visible(message), markup=False, soft_wrap=True)
 
 
 @contextmanager
-def told(listener: Listener) -> Iterator[None]:
+def listening(listener: Listener) -> Iterator[None]:
     """Within this context, tell somebody of all progress: how much of the present work is done, and how much there is of it.
 
     Args:
@@ -55,13 +55,13 @@ def _telling(advances: list[Advance], total: int) -> list[Advance]:
     listener, done = _listener, 0
 
     def telling(advance: Advance) -> Advance:
-        def tell(n: int) -> None:
+        def notify(n: int) -> None:
             nonlocal done
             done += n
             advance(n)
             listener(done, total)
 
-        return tell
+        return notify
 
     return [telling(one) for one in advances]
 
@@ -147,4 +147,4 @@ class _Lines:
         passed = now - self._started
         left = passed / self._done * (self._total - self._done)
         times = [str(timedelta(seconds=round(seconds))) for seconds in (passed, left)]
-        say(f"{self._description}: {self._done:,}/{self._total:,} {self._unit}, {times[0]} passed, {times[1]} left")
+        echo(f"{self._description}: {self._done:,}/{self._total:,} {self._unit}, {times[0]} passed, {times[1]} left")

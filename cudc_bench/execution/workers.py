@@ -23,7 +23,7 @@ from cudc_bench.errors import CudcBenchError, RunError, traceback_of, wants_trac
 from cudc_bench.execution import interrupts
 
 T = TypeVar("T")
-Tell = Callable[[Any], None]
+Notify = Callable[[Any], None]
 
 _saving = False  # in a worker, whether it has a task that keeps its state
 
@@ -57,7 +57,7 @@ class Worker(Generic[T]):
     does the death of the process that started it.
 
     Args:
-        do: does a task; called as ``do(task, tell)``, where ``tell`` sends anything home. It must be picklable, as tasks are, and results.
+        do: does a task; called as ``do(task, notify)``, where ``notify`` sends anything home. Picklable, as tasks and results.
         begin: called first in the process.
         saves: whether a task keeps its state when it is asked to leave, else the process ends with its parent without waiting for it; by
             default all do.
@@ -66,7 +66,7 @@ class Worker(Generic[T]):
 
     def __init__(
         self,
-        do: Callable[[T, Tell], Any],
+        do: Callable[[T, Notify], Any],
         begin: Callable[[], Any] | None = None,
         saves: Callable[[T], bool] | None = None,
         context: Any = None,
@@ -106,7 +106,7 @@ class Worker(Generic[T]):
         """Whether it takes a task if it has none."""
         return self._process.is_alive()
 
-    def ask(self) -> None:
+    def request_stop(self) -> None:
         """Ask its task to save and leave; asked again, nothing happens. (A signal handler may not see a worker that is just being started,
         so that whoever waits for them must ask once more.)"""
         if not self._asked:
@@ -182,16 +182,16 @@ def _death(code: int | None) -> str:
     return f"{name}{', perhaps out of memory' if name == 'SIGKILL' else ''}"
 
 
-def _serve(pipe: Connection, do: Callable[[T, Tell], Any], begin: Callable[[], Any] | None, saves: Callable[[T], bool] | None) -> None:
+def _serve(pipe: Connection, do: Callable[[T, Notify], Any], begin: Callable[[], Any] | None, saves: Callable[[T], bool] | None) -> None:
     """A worker's life."""
     global _saving
-    interrupts.hear()
+    interrupts.on_sigterm()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     if begin is not None:
         begin()
     _leave_with_parent()
 
-    def tell(message: Any) -> None:
+    def notify(message: Any) -> None:
         with suppress(OSError):
             pipe.send(message)
 
@@ -204,7 +204,7 @@ def _serve(pipe: Connection, do: Callable[[T, Tell], Any], begin: Callable[[], A
             return
         _saving = saves is None or saves(task)
         try:
-            ended = Ended(do(task, tell))
+            ended = Ended(do(task, notify))
         except BaseException as error:
             ended = Ended(error=_travelling(error))
         finally:
@@ -242,7 +242,7 @@ def _leave_with_parent() -> None:
         if parent is None:
             return
         parent.join()
-        interrupts.ask(signal.SIGTERM)
+        interrupts.request_stop(signal.SIGTERM)
         while _saving:
             time.sleep(0.05)
         os._exit(1)

@@ -15,7 +15,7 @@ from cudc_bench.errors import UsageError, unknown
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import cores, only_cores, worker_count
-from cudc_bench.execution.progress import say
+from cudc_bench.execution.progress import echo
 from cudc_bench.files import check_folder
 from cudc_bench.settings.profiles import resolve_device, resolve_profile
 
@@ -166,7 +166,7 @@ def run_prepared(ready: Prepared, keep: str = "datasets", cluster: Cluster | Non
     if cluster is not None and queue.plan.of("stats"):
         raise UsageError("--ray does not measure datasets (stats); run that study without it where the datasets are.")
     with locked(common.folder / "lock", f"a suite into {common.output}"):
-        say(
+        echo(
             f"suite {ready.suite.name}: profile {common.profile}, {common.device},"
             f" {f'{ready.workers} at a time' if cluster is None else f'on Ray ({cluster.address})'}; {jobs} jobs,"
             f" {jobs - left} of them done or not needed any more; logs in {common.folder / 'logs'}"

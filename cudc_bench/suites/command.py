@@ -45,7 +45,7 @@ def run(
     """Run a whole study: collect, relabel, train and compare."""
     from rich.console import Console
 
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     from .api import check_keep, make_cluster, prepare, run_prepared, shared_root
     from .cluster import RETRIES
@@ -66,17 +66,17 @@ def run(
             return
         found = run_prepared(ready, keep, cluster)
     if found.removed:
-        say(f"removed {len(found.removed)} datasets; how to make them again is in {ready.common.folder / 'datasets'} and in each record")
+        echo(f"removed {len(found.removed)} datasets; how to make them again is in {ready.common.folder / 'datasets'} and in each record")
     if found.leaderboard is not None:
         for problem in found.leaderboard.problems:
-            say(f"problem: {problem}")
+            echo(f"problem: {problem}")
         for file in found.leaderboard.files:
             print(file)
     if found.failed:
         for line in found.failed:
-            say(f"failed: {line}")
+            echo(f"failed: {line}")
         raise RunError(f"{found.lacking} of {found.jobs} jobs are not done, see above; the same command tries them again.")
-    say(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
+    echo(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from cudc_bench.execution.progress import console, say
+from cudc_bench.execution.progress import console, echo
 
 from .jobs import Job
 from .queue import Queue
@@ -41,7 +41,7 @@ class Running:
     total: int = 0
     first: tuple[int, float] | None = None
 
-    def tell(self, done: int, total: int) -> None:
+    def notify(self, done: int, total: int) -> None:
         """It is so far."""
         self.done, self.total = done, total
         if self.first is None:
@@ -94,12 +94,12 @@ class Display:
                 self._live.update(self._table(running), refresh=True)
         elif moment - self._said >= _LINE_EVERY:
             self._said = moment
-            say(self.summary(running))
+            echo(self.summary(running))
 
     def line(self, message: str) -> None:
         """Say a line above the table."""
         self._said = time.monotonic()
-        say(message)
+        echo(message)
 
     def summary(self, running: Mapping[Job, Running]) -> str:
         """How far it is, on one line."""

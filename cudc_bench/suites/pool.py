@@ -97,11 +97,11 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _attempt(common: Common, given: Given, send: workers.Tell) -> Outcome:
+def _attempt(common: Common, given: Given, send: workers.Notify) -> Outcome:
     job, log = given
     last = 0.0
 
-    def tell(done: int, total: int) -> None:
+    def notify(done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last >= _TELL_EVERY:
             last = time.monotonic()
@@ -109,17 +109,17 @@ def _attempt(common: Common, given: Given, send: workers.Tell) -> Outcome:
 
     try:
         with into(log):
-            return attempt(job, common, tell)
+            return attempt(job, common, notify)
     except OSError as error:
         return Outcome("failed", f"its log {log} cannot be written: {error.strerror or error}")
 
 
-def attempt(job: Job, common: Common, tell: Any) -> Outcome:
+def attempt(job: Job, common: Common, notify: Any) -> Outcome:
     """Do a job in this process, and say how it went; standard error has when, for how long, and in its last line what went wrong."""
     print(f"# {datetime.now(UTC).isoformat(timespec='milliseconds')}, process {os.getpid()}: {job.name}", file=sys.stderr, flush=True)
     started = time.monotonic()
     try:
-        do(job, common, tell)
+        do(job, common, notify)
         ended = Outcome("done")
     except interrupts.Interrupted as error:
         ended = Outcome("left", visible(error.where))

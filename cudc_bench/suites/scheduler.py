@@ -38,7 +38,7 @@ class Retention:
         self.removed: list[str] = []
         self.size = 0
 
-    def job_done(self, job: Job | None, tell: Callable[[str], None]) -> None:
+    def job_done(self, job: Job | None, notify: Callable[[str], None]) -> None:
         """Remove what only this job still needed; with None, what nothing needs from the start, and what a killed process left."""
         if job is None:
             for one in self._all:
@@ -56,7 +56,7 @@ class Retention:
                 if removed:
                     self.removed += removed
                     self.size += count
-                    tell(f"removed {base} and {len(removed) - 1} labelled from it ({size(count)}): all records of it are written")
+                    notify(f"removed {base} and {len(removed) - 1} labelled from it ({size(count)}): all records of it are written")
 
 
 def run_locally(queue: Queue, common: Common, workers: int, before: int, retention: Retention | None = None) -> list[tuple[Failure, Path]]:
@@ -89,10 +89,10 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         running[job] = Running(job, time.monotonic(), queue.seconds[job])
         return job, logs / f"{job.slug}.log"
 
-    def hear(given: Given, news: Any) -> None:
+    def on_news(given: Given, news: Any) -> None:
         job, told = given[0], understood(news)
         if isinstance(told, Progress):
-            running[job].tell(told.done, told.total)
+            running[job].notify(told.done, told.total)
         else:
             end(job, told)
 
@@ -122,7 +122,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         retention.job_done(None, display.line)
     crew = Crew(lambda: job_worker(share, common), workers)
     with interrupts.leaving_gracefully(), display.shown():
-        crew.work(start, hear, lambda: queue.is_over, lambda: display.refresh(running))
+        crew.work(start, on_news, lambda: queue.is_over, lambda: display.refresh(running))
         if interrupts.requested():
             done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
             raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))

@@ -22,7 +22,7 @@ from cudc_bench.artefacts.records import read_record
 from cudc_bench.data.staging import building_path, staging, tidy
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY
-from cudc_bench.execution.progress import Listener, told
+from cudc_bench.execution.progress import Listener, listening
 from cudc_bench.files import unwritable, write_atomically
 from cudc_bench.stages import ensure_relabelled
 
@@ -73,13 +73,13 @@ def do(job: Job, common: Common, listener: Listener) -> None:
     """
     worked = False
 
-    def hear(done: int, total: int) -> None:
+    def on_progress(done: int, total: int) -> None:
         nonlocal worked
         worked = True
         listener(done, total)
 
     missing = [one for one in made_by(job) if not exists(one)]
-    with told(hear):
+    with listening(on_progress):
         _DOING[job.kind](job, common)
     # Otherwise another process made them while this one was starting, and they are not ours.
     if worked:

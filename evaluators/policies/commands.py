@@ -16,14 +16,14 @@ def export(
     """Write a trained policy as one file that needs PyTorch alone."""
     import shlex
 
-    from cudc_bench.execution.progress import say
+    from cudc_bench.execution.progress import echo
 
     from .exporting import SPEC, export_policy
 
     path = export_policy(record, output)
     print(path)
-    say(f"load it with: torch.export.load({str(path)!r}).module()")
-    say(f"what it takes and where it comes from: unzip -p {shlex.quote(str(path))} '*/{SPEC}'")
+    echo(f"load it with: torch.export.load({str(path)!r}).module()")
+    echo(f"what it takes and where it comes from: unzip -p {shlex.quote(str(path))} '*/{SPEC}'")
 
 
 def render(

@@ -15,7 +15,7 @@ from cudc_bench.envs.drawing import Drawer, check_camera
 from cudc_bench.envs.rewards import CustomReward, load_reward
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.parallel import Job, cores, run_jobs
-from cudc_bench.execution.progress import Advance, bars, say
+from cudc_bench.execution.progress import Advance, bars, echo
 from cudc_bench.files import check_file, check_path
 
 from .rollout import Played, play, recorded_seeds
@@ -96,13 +96,13 @@ def render_policy(
     # It starts first: where nothing can draw, no episode is played for nothing.
     with Drawer(facts.name, found.dataset.task, view, *size, os.environ.get("MUJOCO_GL") if gl is None else gl) as drawer:
         length = facts.episode_length * simulator.timestep
-        say(f"render {found.algorithm} on {found.dataset.id}: {episodes} x {length:g} s, drawn with {drawer.backend}")
+        echo(f"render {found.algorithm} on {found.dataset.id}: {episodes} x {length:g} s, drawn with {drawer.backend}")
         played = _play(
             f"play {found.dataset.task}", episodes * facts.episode_length, _threads(found), policy=policy, seeds=seeds, recorded=recorded,
             reward=custom,
         )  # fmt: skip
         for episode, one in enumerate(played):
-            say(f"episode {episode + 1}: {_outcome(one)}")
+            echo(f"episode {episode + 1}: {_outcome(one)}")
         with bars([(f"draw {path.name}", len(chosen) * episodes)], "frames") as (advance,):
             write_video(path, _frames(drawer, played, chosen, advance), len(chosen) * episodes, fps)
     returns = tuple(one.total for one in played if one.total is not None)

@@ -16,7 +16,7 @@ from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.locks import locked
-from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.runs.execution import Execution, Work
@@ -122,7 +122,7 @@ def evaluate(
             run.tidy(execution.device)
     work = Work.plan(execution, "evaluate", stackable(runs), left, partial(Stack, execution.device))
     total = plans[0].loop.gradient_steps
-    say(
+    echo(
         f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(wanted.domains)}: profile {chosen.name}, {len(runs)} runs of"
         f" {total:,} gradient steps, {execution.device}"
         + (f"; {len(runs) - len(left)} recorded before are kept" if len(left) < len(runs) else "")

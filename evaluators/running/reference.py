@@ -23,7 +23,7 @@ from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
-from cudc_bench.execution.progress import Advance, say
+from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.learner import check_precision
@@ -230,7 +230,7 @@ def make_references(
     for group in [members] if plan.device == "cuda" else [[one] for one in members]:
         if not {one.task for one in group} & set(missing):
             Stack(plan, group).tidy()
-    say(
+    echo(
         f"reference of {', '.join(plan.tasks)} on {domain}: profile {plan.profile}, TD3 online, seeds {format_seeds(plan.seeds)},"
         f" {plan.loop.steps:,} steps each, {plan.device}"
         + (f"; {len(plan.tasks) - len(missing)} made before are kept" if len(missing) < len(plan.tasks) else "")

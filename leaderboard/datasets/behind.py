@@ -18,7 +18,7 @@ from cudc_bench.text import plain
 
 from ..numbers.columns import column
 from ..numbers.table import Table
-from ..numbers.words import file_word
+from ..numbers.words import file_slug
 from .quality import Quality
 
 
@@ -33,7 +33,7 @@ class Dataset:
         domain, seed, steps, profile, overrides, source: as in the records.
         labelled: task, id and fingerprint of each dataset that was trained on.
         records: all that were trained on it.
-        word: a safe and unique name for files.
+        slug: a safe and unique name for files.
     """
 
     id: str | None
@@ -47,7 +47,7 @@ class Dataset:
     source: str | None
     labelled: tuple[tuple[str, str, str], ...]
     records: tuple[Record, ...] = field(repr=False)
-    word: str
+    slug: str
 
     @property
     def settings(self) -> str:
@@ -105,14 +105,14 @@ def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
         records = together[key]
         one = records[0].dataset
         labelled = sorted({(record.dataset.task, record.dataset.id, record.dataset.fingerprint) for record in records})
-        word = file_word(
+        slug = file_slug(
             name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key))
         )
         # Ids that differ in where a slash stands, and profiles under one id, must not share a page.
-        word = f"{word[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
+        slug = f"{slug[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
         found.append(
             Dataset(base_id(records[0]), plain(name), method, domain, seed, one.steps, one.profile, one.overrides, one.source,
-                    tuple(labelled), tuple(records), word)
+                    tuple(labelled), tuple(records), slug)
         )  # fmt: skip
     return found
 

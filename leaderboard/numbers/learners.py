@@ -30,17 +30,17 @@ def build_learners(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[
         # The slug and not the group, of which different ones may look alike.
         together[one.slug.removesuffix(f".{one.algorithm}")][one.algorithm] = one
     return [
-        study for word, learners in sorted(together.items()) if len(learners) > 1 and (study := _study(word, learners, blocks)) is not None
+        study for slug, learners in sorted(together.items()) if len(learners) > 1 and (study := _study(slug, learners, blocks)) is not None
     ]
 
 
-def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) -> Study | None:
+def _study(slug: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) -> Study | None:
     names = ordered(set(learners), LEARNER_ORDER)
     kept = _shared(names, learners)
     if not kept:
         return None
     group = learners[names[0]].group
-    own = [block for block in blocks if group_slug(block.group, block.algorithm) == f"{word}.{block.algorithm}"]
+    own = [block for block in blocks if group_slug(block.group, block.algorithm) == f"{slug}.{block.algorithm}"]
     places = {(block.algorithm, block.domain): block for block in own}
     notes = [
         f"{scope}, {short(milestone)} steps: the learners have different tasks: {_tasks(found)}."
@@ -53,7 +53,7 @@ def _study(word: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
         tables.append(agreement)
     return Study(
         name="learners",
-        folder=f"{word}.learners",
+        folder=f"{slug}.learners",
         title="Learners side by side",
         caption=f"Whether the ranking of datasets depends on the learner: {', '.join(names)}. Profile: {group}."
         + (" Preliminary: fewer than five seeds." if any(one.preliminary for found in kept.values() for one in found.values()) else ""),

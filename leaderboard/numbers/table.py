@@ -180,7 +180,7 @@ class Table:
         episodes = ", ".join(f"{extent(*count)} at {short(milestone)}" for milestone, count in self.episodes.items())
         preliminary = any(cell.n < ENOUGH_SEEDS for cell in self.cells.values())
         imported = any(record.dataset.source for record in self.records)
-        twins = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
+        aliases = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
                         if one.dataset.source is None and canonical(one.dataset.method) != one.dataset.method})  # fmt: skip
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
@@ -190,7 +190,7 @@ class Table:
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + references_caption(self.references, self.tasks)
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
-            + (f" Another name of the same setting: {', '.join(twins)}." if twins else "")
+            + (f" Another name of the same setting: {', '.join(aliases)}." if aliases else "")
             + submitted_caption(submitted_columns(self.records))
             + (" Preliminary: fewer than five seeds." if preliminary else "")
         )
@@ -242,11 +242,11 @@ def build_blocks(
         split[record.dataset.domain, record.algorithm, record.group].append(record)
     blocks, problems = [], []
     for domain, algorithm, group in sorted(split):
-        single, twins = _without_twins(split[domain, algorithm, group])
+        single, aliases = _without_aliases(split[domain, algorithm, group])
         same, odd = _agree(single)
         block = Block(group, algorithm, domain, _milestones(same[0]), by_cell(same), serving(references or {}, same[0]))
         blocks.append(block)
-        problems += [f"table {block.slug}: {problem}" for problem in (*twins, *odd, *_doubts(same))]
+        problems += [f"table {block.slug}: {problem}" for problem in (*aliases, *odd, *_doubts(same))]
     return blocks, problems
 
 
@@ -284,7 +284,7 @@ def scores_by_seed(records: Iterable[Record], step: int) -> dict[int, float]:
     return {seed: fmean(scores) for seed, scores in sorted(seeds.items())}
 
 
-def _without_twins(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
+def _without_aliases(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
     names: dict[tuple[str, int], Counter[str]] = defaultdict(Counter)
     for record in records:
         names[column(record), record.dataset.seed][record.dataset.method] += 1

@@ -34,7 +34,7 @@ def group_slug(group: str, algorithm: str) -> str:
     return f"{_word(group, _NAME)}.{algorithm}"
 
 
-def file_word(text: str) -> str:
+def file_slug(text: str) -> str:
     """A safe and unique part of file names, without a dot, for any text; a name of letters, digits, ``_`` and ``-`` is its own."""
     return _word(text, _NAME)
 

@@ -64,7 +64,7 @@ class _Kept(BaseModel):
 
 
 def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Local], list[str]]:
-    """Those of some datasets that are on this machine, by their ``word``, measured; and a line for each that could not be.
+    """Those of some datasets that are on this machine, by their ``slug``, measured; and a line for each that could not be.
 
     What was measured is kept in ``<output>/datasets/measures.json`` by fingerprint, so that only new datasets take time (seconds each).
     """
@@ -94,7 +94,7 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     for dataset, one, manifest in present:
         if one in fresh:
             old = fresh[one]
-            figures = {name: _kept_figure(folder / f"{dataset.word}.{name}.svg", digest) for name, digest in old.figures.items()}
+            figures = {name: _kept_figure(folder / f"{dataset.slug}.{name}.svg", digest) for name, digest in old.figures.items()}
             whole = {name: content for name, content in figures.items() if content is not None}
             quality = _quality(one, manifest, old)
             if len(whole) < len(figures):
@@ -103,7 +103,7 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
             quality, whole = measured[one]
         else:
             continue
-        locals_[dataset.word] = Local(one, manifest, quality, whole)
+        locals_[dataset.slug] = Local(one, manifest, quality, whole)
         kept[manifest.fingerprint] = _measures(quality, _digest(one), whole)
     text = _Kept(measures=dict(sorted(kept.items()))).model_dump_json(indent=1)
     write_files(folder, {MEASURES: f"{text}\n"})

@@ -92,7 +92,7 @@ def make_report(
             places = _places(loaded, paths)
             site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden)
             known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
-                     (f"{word} {one.digest}" for word, one in local.items())]  # fmt: skip
+                     (f"{slug} {one.digest}" for slug, one in local.items())]  # fmt: skip
             return Target("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
 
         # A site over all records is not replaced by one over some of them.

@@ -49,7 +49,7 @@ class Boards(Studies):
     def overview(self, boards: Sequence[ComparisonPage]) -> Page:
         """The first page."""
         first = boards[0]
-        self.look(first)
+        self.use_styles(first)
         tables = self.site.tables
         records = [record for table in self.site.every_table for record in table.records]
         facts = [

@@ -113,7 +113,7 @@ class Catalogue(Parts):
     def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> Grid:
         lines = []
         for dataset in datasets:
-            local = self.site.local.get(dataset.word)
+            local = self.site.local.get(dataset.slug)
             cells = local.quality.coverage.coverage_cells if local and local.quality and local.quality.coverage else None
             method = self.name(dataset.method)
             lines.append(Line(Item(dataset.name, link=dataset_path(dataset)), (
@@ -129,7 +129,7 @@ class Catalogue(Parts):
     def dataset(self, dataset: Dataset) -> Page:
         """The page of a dataset."""
         first = dataset.records[0]
-        local = self.site.local.get(dataset.word)
+        local = self.site.local.get(dataset.slug)
         sources = sorted({origin(record) for record in dataset.records})
         facts = [
             ("method", self.name(dataset.method)), ("domain", Item(domain_text(dataset.domain))), ("seed", Item(str(dataset.seed))),
@@ -204,7 +204,7 @@ def _standings(board: ComparisonPage, method: str) -> list[tuple[str, Item]]:
 def _measured(dataset: Dataset, local: Local) -> list[Section]:
     quality = local.quality
     found = [Section("Its manifest", facts=tuple((name, Item(value)) for name, value in facts_of(local.manifest)))]
-    prefix = f"datasets/{dataset.word}"
+    prefix = f"datasets/{dataset.slug}"
     grids = []
     facts: list[tuple[str, Item]] = []
     if quality is not None:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from cudc_bench.text import html_templates
 
-from ..methods import looks
+from ..methods import styles
 from ..numbers.words import short
 from .boards import Boards
 from .catalogue import Catalogue
@@ -43,8 +43,8 @@ def site_files(site: Site) -> dict[str, str | bytes]:
         files[page.path] = template.render(page=page, to=_Links(page.path), style="site/site.css", script="site/site.js",
                                             identify=_Ids(), short=short)  # fmt: skip
     for dataset in site.datasets:
-        if dataset.word in site.local:
-            files |= {f"datasets/{dataset.word}.{name}.svg": content for name, content in site.local[dataset.word].figures.items()}
+        if dataset.slug in site.local:
+            files |= {f"datasets/{dataset.slug}.{name}.svg": content for name, content in site.local[dataset.slug].figures.items()}
     return files
 
 
@@ -57,18 +57,18 @@ class _Pages(Boards, Runs, Catalogue):
         yield self.overview(boards)
         for board in boards:
             crumbs = (("Overview", "index.html"),)
-            self.look(board)
+            self.use_styles(board)
             title = f"{board.algorithm}, profile {brief(board.group)}"
             yield Page(board.path, title, crumbs, self.summary(board), self.badges(board), self.board(board))
             for table in board.tables:
-                self._looks = looks(table.methods)
+                self._styles = styles(table.methods)
                 yield self.domain(board, table)
                 for task in table.tasks:
                     yield self.task(board, table, task)
                 yield from self.runs_of(board, table)
             for table in board.hidden:
                 yield from self.runs_of(board, table)
-        self._looks = {}  # Colours beyond the paper's methods are those of one comparison.
+        self._styles = {}  # Colours beyond the paper's methods are those of one comparison.
         yield from self.study_pages()
         yield self.methods_page()
         yield from map(self.method, self.site.methods)
@@ -99,9 +99,9 @@ class _Ids:
         self._seen = Counter(["main", "theme", "switches", "filter", "found", "said"])  # those of the template
 
     def __call__(self, text: str) -> str:
-        word = re.sub(r"[^a-z0-9]+", "-", text.lower())[:60].strip("-") or "part"
-        if not word[0].isalpha():
-            word = f"p-{word}"
-        self._seen[word] += 1
-        # No word has a full stop.
-        return word if self._seen[word] == 1 else f"{word}.{self._seen[word]}"
+        slug = re.sub(r"[^a-z0-9]+", "-", text.lower())[:60].strip("-") or "part"
+        if not slug[0].isalpha():
+            slug = f"p-{slug}"
+        self._seen[slug] += 1
+        # No slug has a full stop.
+        return slug if self._seen[slug] == 1 else f"{slug}.{self._seen[slug]}"

@@ -15,7 +15,7 @@ from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local, datasets_of
-from ..methods import METHOD_ORDER, looks
+from ..methods import METHOD_ORDER, styles
 from ..numbers.columns import column
 from ..numbers.grid import Entry
 from ..numbers.missing import Missing
@@ -24,7 +24,7 @@ from ..numbers.published import beside_paper
 from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS, Table
-from ..numbers.words import file_word, group_slug, ordered, span
+from ..numbers.words import file_slug, group_slug, ordered, span
 from .models import MISSING, Figure, Item, Line, Section, swatch
 
 Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
@@ -41,7 +41,7 @@ class Site:
         tables, overall, problems, missing: as in ``api.Report``.
         files: names of the files that lie in each slug's folder; they can be shown and downloaded.
         places: where each record is below the results that were read.
-        local: datasets that are on this machine, by ``Dataset.word``.
+        local: datasets that are on this machine, by ``Dataset.slug``.
         studies: as in ``api.Report``.
         hidden: tables of the methods that only studies show, for the pages of their runs.
     """
@@ -161,7 +161,7 @@ class Parts:
     def __init__(self, site: Site) -> None:
         self.site = site
         self._papers: dict[str, dict[tuple[int, str, str], Paper]] = {}
-        self._looks: dict[str, dict[str, Any]] = {}  # of the page under way: as in its figures
+        self._styles: dict[str, dict[str, Any]] = {}  # of the page under way: as in its figures
 
     @cached_property
     def table_of(self) -> dict[int, Table]:
@@ -172,22 +172,22 @@ class Parts:
         """The way from the overview to a comparison."""
         return ("Overview", "index.html"), (board.name, board.path)
 
-    def look(self, board: ComparisonPage) -> None:
+    def use_styles(self, board: ComparisonPage) -> None:
         """Take the colours of a comparison's figures."""
         compared = board.overall.headline.methods if board.overall else ()
-        self._looks = looks(board.methods) | looks(compared)
+        self._styles = styles(board.methods) | styles(compared)
 
     def name(self, method: str) -> Item:
         """A method as the head of a row: its line in figures, and the way to its page."""
-        if method not in self._looks:
+        if method not in self._styles:
             return Item(method, link=method_path(method))
-        style = self._looks[method]["linestyle"]
+        style = self._styles[method]["linestyle"]
         dashes = _DASHES[style] if isinstance(style, str) else " ".join(f"{one:g}" for one in style[1])
         return Item(method, link=method_path(method), picture=swatch(self.colour(method), dashes))
 
     def colour(self, method: str) -> str:
         """Its colour in figures."""
-        return str(self._looks[method]["color"])
+        return str(self._styles[method]["color"])
 
     def figure(self, slug: str, name: str, alt: str) -> tuple[Figure, ...]:
         """A figure of a slug's folder, if it is there."""
@@ -364,15 +364,15 @@ def task_path(table: Table, task: str) -> str:
 
 def runs_path(table: Table, task: str, method: str, milestone: int | None = None) -> str:
     """The page of the runs of a method on a task, or the part of it that is about a milestone."""
-    return f"{table.slug}/runs-{task}.{file_word(method)}.html{'' if milestone is None else f'#at-{milestone}'}"
+    return f"{table.slug}/runs-{task}.{file_slug(method)}.html{'' if milestone is None else f'#at-{milestone}'}"
 
 
 def method_path(method: str) -> str:
     """The page of a method."""
     # A method may be called "index".
-    return f"methods/method-{file_word(method)}.html"
+    return f"methods/method-{file_slug(method)}.html"
 
 
 def dataset_path(dataset: Dataset) -> str:
     """The page of a dataset."""
-    return f"datasets/{dataset.word}.html"
+    return f"datasets/{dataset.slug}.html"

@@ -174,7 +174,7 @@ class Storing(EpisodeShards):
         super().add(episode)
         Storing.ask_at -= 1
         if Storing.ask_at == 0:
-            interrupts.ask()
+            interrupts.request_stop()
 
 
 def resumable(folder: Path, square: Domain) -> tuple[str, list[Outcome], str]:
@@ -205,7 +205,7 @@ def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(
         def call(*arguments: Any) -> Any:
             count[0] += 1
             if count[0] == at:
-                interrupts.ask()
+                interrupts.request_stop()
             return method(*arguments)
 
         return call

@@ -178,7 +178,7 @@ def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole)
     def asking(observation):
         count[0] += 1
         if count[0] == acts:
-            interrupts.ask()
+            interrupts.request_stop()
         return act(observation)
 
     agent.act = asking

@@ -146,7 +146,7 @@ def test_seeds_that_are_done_are_not_trained_again(tmp_path: Path, undisturbed: 
         trained.append((run._seeds[0], run.steps))
         step(run)
         if (run._seeds[0], run.steps) in asked:
-            interrupts.ask()
+            interrupts.request_stop()
 
     monkeypatch.setattr(online._Run, "step", asking)
     with pytest.raises(interrupts.Interrupted, match="td3 online: reach_top_left seed 2 at step 350 of 600"):

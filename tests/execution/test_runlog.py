@@ -116,7 +116,7 @@ def asking(method: Callable[..., Any], call: int) -> Callable[..., Any]:
         result = method(*arguments, **options)
         calls.append(1)
         if len(calls) == call:
-            interrupts.ask()
+            interrupts.request_stop()
         return result
 
     return ask

@@ -68,7 +68,7 @@ def interrupted_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("interrupted") / "datasets"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(root))
-        at(2500, interrupts.ask, patch)
+        at(2500, interrupts.request_stop, patch)
         with pytest.raises(SystemExit) as ended:
             command_line.main([*LONGER, "--profile", "smoke"])
     assert ended.value.code == 130
@@ -119,7 +119,7 @@ def test_a_run_that_started_over_keeps_its_own_checkpoints(
     checkpoints = datasets / "walker/.icm-v0.building/checkpoints"
     for path in checkpoints.glob("*.pt"):
         flip(path)
-    at(1200, interrupts.ask, monkeypatch)
+    at(1200, interrupts.request_stop, monkeypatch)
     assert main(*LONGER).code == 130
     assert sorted(int(path.stem) for path in checkpoints.glob("*.pt")) == [1000, 1200]
 

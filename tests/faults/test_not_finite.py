@@ -86,7 +86,7 @@ def test_a_run_interrupted_after_it_broke_is_given_up_when_it_is_continued(
         if calls == 10:
             with torch.no_grad():
                 next(iter(collector.actor.parameters())).fill_(float("nan"))
-            interrupts.ask()
+            interrupts.request_stop()
         return real(collector, batch)
 
     with monkeypatch.context() as patch:

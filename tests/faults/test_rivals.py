@@ -73,7 +73,7 @@ def test_who_comes_when_another_is_done_keeps_what_is_there(main: Callable, thre
     from cudc_bench.relabelers import api as relabelling
     from cudc_bench.runs import execution
 
-    doors = [(execution, "run_jobs"), (relabelling, "say"), (execution, "run_jobs")]  # behind the first look
+    doors = [(execution, "run_jobs"), (relabelling, "echo"), (execution, "run_jobs")]  # behind the first look
     for (command, lock, made), (module, door) in zip(three, doors, strict=True):
         real, before = getattr(module, door), []
 

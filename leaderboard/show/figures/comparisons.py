@@ -7,7 +7,7 @@ from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from ...methods import METHOD_ORDER, looks
+from ...methods import METHOD_ORDER, styles
 from ...numbers.figures import Intervals
 from ...numbers.overall import ALL, LEAD, NAMES, THRESHOLDS, Comparison, Estimate, Overall
 from ...numbers.words import ordered, short, span
@@ -68,7 +68,7 @@ def draw_estimates(shown: Intervals) -> Figure:
     figure = Figure(figsize=(width, lines * (0.26 * len(methods) + 0.8) + 0.2 * title.count("\n") + 1.0))
     axes = list(figure.subplots(lines, columns, sharey=True, sharex=shown.alike, squeeze=False).flat)
     figure.suptitle(title, fontsize=9)
-    colours = looks(methods)
+    colours = styles(methods)
     for place, (panel, (label, estimates)) in enumerate(zip(axes, panels.items(), strict=False)):
         for row, method in enumerate(methods):
             if method in estimates:
@@ -98,13 +98,13 @@ def draw_estimates(shown: Intervals) -> Figure:
 def draw_profiles(overall: Overall) -> Figure:
     """The share of seeds x tasks whose score is above τ, for each method, with pointwise 95 % bands over datasets."""
     comparison = overall.headline
-    shown = looks(comparison.methods)
+    shown = styles(comparison.methods)
     figure, (panel,) = framed(_title("Performance profiles, band: 95 %", overall, 0), legend(shown), 1, 1, height=3.4)
     for standing in comparison.standings:
-        look = shown[standing.method]
-        panel.plot(THRESHOLDS, standing.profile, linewidth=0.8 if standing.band is None else 1.4, **look)
+        style = shown[standing.method]
+        panel.plot(THRESHOLDS, standing.profile, linewidth=0.8 if standing.band is None else 1.4, **style)
         if standing.band is not None:
-            panel.fill_between(THRESHOLDS, *standing.band, color=look["color"], alpha=0.08, linewidth=0)
+            panel.fill_between(THRESHOLDS, *standing.band, color=style["color"], alpha=0.08, linewidth=0)
     panel.set_xlim(0, 1)
     panel.set_ylim(0, 1)
     panel.set_xlabel(f"score τ ({comparison.axis})")
@@ -125,7 +125,7 @@ def draw_ranks(overall: Overall) -> Figure:
     figure = Figure(figsize=(width, 0.27 * count + 0.2 * title.count("\n") + 1.2))
     panel = figure.subplots()
     figure.suptitle(title, fontsize=9)
-    shown = looks(comparison.methods)
+    shown = styles(comparison.methods)
     for row, standing in enumerate(standings):
         for rank, share in enumerate(standing.ranks or ()):
             colour = shown[standing.method]["color"]
@@ -153,7 +153,7 @@ def _draw_estimate(panel: Axes, row: int, estimate: Estimate, colour: Any) -> No
 
 def _name_rows(panel: Axes, methods: Sequence[str]) -> None:
     panel.set_ylim(len(methods) - 0.5, -0.5)
-    panel.set_yticks(range(len(methods)), list(legend(looks(methods))))
+    panel.set_yticks(range(len(methods)), list(legend(styles(methods))))
     panel.tick_params(axis="y", length=0)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cudc_bench.text import plain
 
 from ...datasets.diagnostics import REPRESENTATION, Comparison, series
-from ...methods import LOSSES, looks
+from ...methods import LOSSES, styles
 from .drawing import draw_line, figure_files, framed, line_width, seeds_text, steps_axis
 
 if TYPE_CHECKING:
@@ -46,12 +46,12 @@ def draw_k(comparison: Comparison) -> Figure:
     """
     from matplotlib.ticker import MaxNLocator
 
-    shown = _looks(comparison, comparison.having(["k"]))
+    shown = _styles(comparison, comparison.having(["k"]))
     title = f"k on {comparison.domain}, profile {comparison.group}: {seeds_text(comparison.seeds(['k']))}"
     figure, (panel,) = framed(title, _legend(shown), 1, 1, height=2.6)
     lines = {method: series(comparison.of(method, "k"), "k") for method in shown}
-    for method, look in _shared(lines, shown).items():
-        draw_line(panel, *lines[method], look, stairs=True)
+    for method, style in _shared(lines, shown).items():
+        draw_line(panel, *lines[method], style, stairs=True)
     values = [value for line in lines.values() for value in _reach(line)] or [0.0]
     panel.set_ylim(min(values) - 0.3, max(values) + 0.3)
     panel.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -80,7 +80,7 @@ def _draw_panels(comparison: Comparison, what: str, titles: Mapping[str, str]) -
     Panels with more than a decade are logarithmic down to 4 decades below their largest value's, and linear from there through 0.
     """
     names = [name for name in titles if comparison.having([name])]
-    shown = _looks(comparison, comparison.having(names))
+    shown = _styles(comparison, comparison.having(names))
     grew = {(run.manifest.method, growth.step) for run in comparison.runs for growth in run.schedule.growth}
     marks = sorted((method, step) for method, step in grew if method in shown)
     marks = marks if len(marks) <= _MARKS else []
@@ -99,9 +99,9 @@ def _draw_panels(comparison: Comparison, what: str, titles: Mapping[str, str]) -
     return figure
 
 
-def _looks(comparison: Comparison, shown: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _styles(comparison: Comparison, shown: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Those of the methods that are shown; all figures of a comparison agree on them."""
-    every = looks(comparison.methods)
+    every = styles(comparison.methods)
     return {method: every[method] for method in shown}
 
 

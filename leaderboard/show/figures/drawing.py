@@ -53,7 +53,7 @@ def framed(
 
     Args:
         title: wrapped where it is too long.
-        methods: the entries of the legend: names and their :func:`looks`, or how they are :func:`filled`.
+        methods: the entries of the legend: names and their :func:`styles`, or how they are :func:`filled`.
         panels: how many; ``columns``: at most so many beside each other.
         sharey: one vertical axis for all.
         height, width: of a panel, in inches.
@@ -71,7 +71,7 @@ def framed(
     for panel in axes[panels:]:
         panel.set_visible(False)
     figure.suptitle("\n".join(lines), fontsize=9)
-    handles = [_handle(method, look) for method, look in methods.items()]
+    handles = [_handle(method, style) for method, style in methods.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=entries, frameon=False)
     return figure, axes[:panels]
 
@@ -81,13 +81,13 @@ def seeds_text(seeds: str, spread: str = "band") -> str:
     return seeds if seeds == "1 seed" else f"{seeds}, mean, {spread}: ± sample standard deviation"
 
 
-def filled(look: Mapping[str, Any]) -> dict[str, Any]:
-    """The same look for an area: dashes become a texture, so that methods of one colour can be told apart there, too."""
-    hatch = _HATCHES[DASHES.index(look["linestyle"])]
+def filled(style: Mapping[str, Any]) -> dict[str, Any]:
+    """The same style for an area: dashes become a texture, so that methods of one colour can be told apart there, too."""
+    hatch = _HATCHES[DASHES.index(style["linestyle"])]
     return {
-        "facecolor": look["color"],
+        "facecolor": style["color"],
         "hatch": hatch,
-        "edgecolor": "#303030" if luminance(look["color"]) > 0.6 else "white",
+        "edgecolor": "#303030" if luminance(style["color"]) > 0.6 else "white",
         "linewidth": 0,
     }
 
@@ -103,13 +103,13 @@ def luminance(colour: Any, alpha: float = 1.0) -> float:
 def legend(shown: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Looks by names that fit into a legend or beside an axis, in the same order; no two methods get one name."""
     found: dict[str, dict[str, Any]] = {}
-    for method, look in shown.items():
+    for method, style in shown.items():
         name = whole = plain(method)
         number = 1
         while len(name) > LONGEST_NAME or name in found:
             mark = f"…{number if number > 1 else ''}"
             name, number = whole[: LONGEST_NAME - len(mark)] + mark, number + 1
-        found[name] = look
+        found[name] = style
     return found
 
 
@@ -121,14 +121,14 @@ _REFERENCES: Mapping[str, dict[str, Any]] = {
 
 def references_legend(references: References) -> dict[str, dict[str, Any]]:
     """What the lines of floors and ceilings mean, for a legend; nothing if there are none. No method has a name with a colon."""
-    return {f"{name}: {MEANING[name]}": look for name, look in _REFERENCES.items()} if references else {}
+    return {f"{name}: {MEANING[name]}": style for name, style in _REFERENCES.items()} if references else {}
 
 
 def draw_references(panel: Axes, task: str, references: References) -> None:
     """Lines at a task's floor and ceiling, if it has a reference."""
     if (bounds := references.get(task)) is not None:
-        for value, look in zip((bounds.ceiling, bounds.floor), _REFERENCES.values(), strict=True):
-            panel.axhline(value, linewidth=0.9, zorder=0.5, **look)
+        for value, style in zip((bounds.ceiling, bounds.floor), _REFERENCES.values(), strict=True):
+            panel.axhline(value, linewidth=0.9, zorder=0.5, **style)
 
 
 def returns_axis(panel: Axes, domain: str, tasks: Sequence[str]) -> None:
@@ -138,7 +138,7 @@ def returns_axis(panel: Axes, domain: str, tasks: Sequence[str]) -> None:
 
 
 def draw_line(
-    panel: Axes, steps: Sequence[int], means: Sequence[float], stds: Sequence[float] | None, look: Mapping[str, Any], *,
+    panel: Axes, steps: Sequence[int], means: Sequence[float], stds: Sequence[float] | None, style: Mapping[str, Any], *,
     stairs: bool = False, clip: bool = False,
 ) -> None:  # fmt: skip
     """A method's line and its band of ± one standard deviation; without one a thin line.
@@ -146,15 +146,15 @@ def draw_line(
     Args:
         panel: where to.
         steps, means, stds: as :func:`curve` returns them.
-        look: one of :func:`looks`.
+        style: one of :func:`styles`.
         stairs: hold each value until the next.
         clip: hide what is outside the panel; otherwise a line on its edge keeps its full width.
     """
-    panel.plot(steps, means, linewidth=line_width(stds), clip_on=clip, drawstyle="steps-post" if stairs else "default", **look)
+    panel.plot(steps, means, linewidth=line_width(stds), clip_on=clip, drawstyle="steps-post" if stairs else "default", **style)
     if stds is not None:
         low = [mean - std for mean, std in zip(means, stds, strict=True)]
         high = [mean + std for mean, std in zip(means, stds, strict=True)]
-        panel.fill_between(steps, low, high, color=look["color"], alpha=0.15, linewidth=0, step="post" if stairs else None)
+        panel.fill_between(steps, low, high, color=style["color"], alpha=0.15, linewidth=0, step="post" if stairs else None)
 
 
 def line_width(stds: Sequence[float] | None) -> float:
@@ -172,11 +172,11 @@ def steps_axis(panel: Axes, what: str, steps: Iterable[int]) -> None:
     panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
 
 
-def _handle(method: str, look: dict[str, Any]) -> Any:
+def _handle(method: str, style: dict[str, Any]) -> Any:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    return Patch(label=method, **look) if "facecolor" in look else Line2D([], [], label=method, linewidth=1.6, **look)
+    return Patch(label=method, **style) if "facecolor" in style else Line2D([], [], label=method, linewidth=1.6, **style)
 
 
 def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 from cudc_bench.text import plain
 
 from ...datasets.quality import BINS, QualityTable
-from ...methods import looks
+from ...methods import styles
 from .drawing import framed
 
 if TYPE_CHECKING:
@@ -27,17 +27,17 @@ def draw_density(table: QualityTable) -> Figure:
     from matplotlib.ticker import FuncFormatter
 
     edges = np.linspace(0.0, 1.0, BINS + 1)
-    shown = {plain(method): look for method, look in looks(table.methods).items()}
+    shown = {plain(method): style for method, style in styles(table.methods).items()}
     counts = sorted({len(table.of(method)) for method in table.methods})
     seeds = f"{counts[0]} dataset{'s' if counts[-1] > 1 else ''}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} datasets"
     title = f"Density of rewards in {table.domain}, profile {table.group}: mean over {seeds} of a method"
     figure, panels = framed(title, shown, len(table.tasks), _COLUMNS, sharey=True, height=2.3)
     lowest = 1.0
     for index, (panel, task) in enumerate(zip(panels, table.tasks, strict=True)):
-        for method, look in zip(table.methods, shown.values(), strict=True):
+        for method, style in zip(table.methods, shown.values(), strict=True):
             density = np.mean([one.rewards[task].density for one in table.of(method)], axis=0)
             lowest = min(lowest, *density[density > 0])
-            panel.stairs(np.where(density > 0, density, np.nan), edges, linewidth=1.2, baseline=None, **look)
+            panel.stairs(np.where(density > 0, density, np.nan), edges, linewidth=1.2, baseline=None, **style)
         panel.set_title(task)
         panel.set_xlabel("reward of a step")
         panel.set_xlim(0, 1)

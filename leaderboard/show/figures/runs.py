@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ...methods import looks
+from ...methods import styles
 from ...numbers.figures import curve
 from ...numbers.table import Runs, Table
 from ...numbers.words import short
@@ -53,7 +53,7 @@ def draw_curves(runs: Runs) -> Figure:
     """
     what = f"{seeds_text(runs.seeds)}, dotted: milestones"
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}: {what}"
-    shown = looks(runs.methods)
+    shown = styles(runs.methods)
     figure, panels = framed(title, legend(shown) | references_legend(runs.references), len(runs.tasks), COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
         _draw_panel(panel, runs, task, shown)
@@ -68,19 +68,19 @@ def draw_bars(runs: Runs) -> Figure:
     Bars stand in the legend's order; a single seed has no error bar.
     """
     title = f"{runs.algorithm} on {runs.domain}, profile {runs.group}, after so many gradient steps: {seeds_text(runs.seeds, 'bar')}"
-    shown = looks(runs.methods)
+    shown = styles(runs.methods)
     columns = COLUMNS if len(runs.methods) * len(runs.milestones) <= _BARS else 2
-    entries = {name: filled(look) for name, look in legend(shown).items()} | references_legend(runs.references)
+    entries = {name: filled(style) for name, style in legend(shown).items()} | references_legend(runs.references)
     figure, panels = framed(title, entries, len(runs.tasks), columns, sharey=True, width=2.4 if columns == COLUMNS else 4.8)
     group = 1 + len(runs.methods)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
-        for place, (method, look) in enumerate(shown.items()):
+        for place, (method, style) in enumerate(shown.items()):
             cells = {
                 number * group + place: cell
                 for number, milestone in enumerate(runs.milestones)
                 if (cell := runs.cells.get((milestone, task, method)))
             }
-            panel.bar(list(cells), [cell.value for cell in cells.values()], 0.9, **filled(look))
+            panel.bar(list(cells), [cell.value for cell in cells.values()], 0.9, **filled(style))
             spread = {at: cell for at, cell in cells.items() if cell.std is not None}
             panel.errorbar(
                 list(spread), [cell.value for cell in spread.values()], [cell.std or 0.0 for cell in spread.values()],
@@ -101,7 +101,7 @@ def draw_bars(runs: Runs) -> Figure:
 def draw_task(runs: Runs, task: str) -> Figure:
     """The curves of one task, wide enough to follow each line."""
     title = f"{runs.algorithm} on {runs.domain} {task}, profile {runs.group}: {seeds_text(runs.seeds)}, dotted: milestones"
-    shown = looks(runs.methods)
+    shown = styles(runs.methods)
     references = {task: runs.references[task]} if task in runs.references else {}
     figure, (panel,) = framed(title, legend(shown) | references_legend(references), 1, 1, height=3.6, width=7.2)
     _draw_panel(panel, runs, task, shown)
@@ -113,10 +113,10 @@ def draw_task(runs: Runs, task: str) -> Figure:
 def _draw_panel(panel: Axes, runs: Runs, task: str, shown: Mapping[str, dict[str, Any]]) -> None:
     for milestone in runs.milestones:
         panel.axvline(milestone, color="#B0B0B0", linewidth=0.8, linestyle=":", zorder=0)
-    for method, look in shown.items():
+    for method, style in shown.items():
         records = runs.records.get((method, task))
         if records:
-            draw_line(panel, *curve(records), look)
+            draw_line(panel, *curve(records), style)
     draw_references(panel, task, runs.references)
     panel.set_title(task)
     steps_axis(panel, "gradient steps", (record.final.step for records in runs.records.values() for record in records))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ...methods import COLOURS, looks
+from ...methods import COLOURS, styles
 from ...numbers.words import short
 from .drawing import draw_references, framed, legend, references_legend, returns_axis, seeds_text
 
@@ -32,14 +32,14 @@ def draw_bounds(shown: Bounds) -> Figure:
     title = f"The upper bound of k: {runs.algorithm} on {runs.domain}, profile {runs.group}: {seeds_text(runs.seeds, 'bar')}"
     figure, panels = framed(title, lines | references_legend(runs.references), len(runs.tasks), _COLUMNS, sharey=True)
     for index, (panel, task) in enumerate(zip(panels, runs.tasks, strict=True)):
-        for place, (milestone, look) in enumerate(zip(runs.milestones, lines.values(), strict=True)):
+        for place, (milestone, style) in enumerate(zip(runs.milestones, lines.values(), strict=True)):
             cells = {bounds[method]: cell for method in runs.methods if (cell := runs.cells.get((milestone, task, method)))}
             # A little beside each other, so that no error bar hides another.
             at = [bound + 0.08 * (place - (len(runs.milestones) - 1) / 2) for bound in cells]
-            panel.plot(at, [cell.value for cell in cells.values()], markersize=4, linewidth=1.2, **look)
+            panel.plot(at, [cell.value for cell in cells.values()], markersize=4, linewidth=1.2, **style)
             for x, cell in zip(at, cells.values(), strict=True):
                 if cell.std is not None:
-                    panel.errorbar(x, cell.value, cell.std, color=look["color"], elinewidth=0.9, capsize=2, capthick=0.9)
+                    panel.errorbar(x, cell.value, cell.std, color=style["color"], elinewidth=0.9, capsize=2, capthick=0.9)
         panel.set_title(task)
         panel.set_xlabel("largest k")
         panel.set_xticks(sorted(bounds.values()))
@@ -54,7 +54,7 @@ def draw_bounds(shown: Bounds) -> Figure:
 def draw_sizes(sizes: Sizes) -> Figure:
     """The mean return over the number of transitions, a panel for each task, band: ± one sample standard deviation; and the mean score
     over the domain's tasks, band: 95 % intervals by Student's t. A single seed is a thin line."""
-    shown = looks(sizes.methods)
+    shown = styles(sizes.methods)
     title = (
         f"Sample efficiency: {sizes.algorithm} on {sizes.domain}, profile {sizes.group}, {short(sizes.milestone)} steps:"
         f" {seeds_text(sizes.seeds)}{'; of the mean score: 95 %' if sizes.scores else ''}"
@@ -73,31 +73,31 @@ def draw_sizes(sizes: Sizes) -> Figure:
 
 
 def _draw_returns(panel: Axes, sizes: Sizes, task: str, shown: Mapping[str, dict[str, Any]]) -> None:
-    for method, look in shown.items():
+    for method, style in shown.items():
         cells = {size: cell for size in sizes.sizes if (cell := sizes.cells.get((size, task, method)))}
         spread = {size: (cell.value - cell.std, cell.value + cell.std) for size, cell in cells.items() if cell.std is not None}
-        _draw_points(panel, {size: cell.value for size, cell in cells.items()}, spread, look)
+        _draw_points(panel, {size: cell.value for size, cell in cells.items()}, spread, style)
     panel.set_title(task)
     draw_references(panel, task, sizes.references)
     returns_axis(panel, sizes.domain, sizes.tasks)
 
 
 def _draw_scores(panel: Axes, sizes: Sizes, shown: Mapping[str, dict[str, Any]]) -> None:
-    for method, look in shown.items():
+    for method, style in shown.items():
         entries = {size: entry for size in sizes.sizes if (entry := sizes.scores.get((size, method)))}
         spread = {size: (one.interval.low, one.interval.high) for size, one in entries.items() if one.interval}
-        _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, look)
+        _draw_points(panel, {size: entry.value for size, entry in entries.items()}, spread, style)
     panel.set_title("mean score over all tasks")
     # Between floor and ceiling is not all there is.
     ends = [end for one in sizes.scores.values() for end in ((one.interval.low, one.interval.high) if one.interval else (one.value,))]
     panel.set_ylim(min(0.0, *ends), max(1.0, *ends))
 
 
-def _draw_points(panel: Axes, values: Mapping[int, float], spread: Mapping[int, tuple[float, float]], look: Mapping[str, Any]) -> None:
-    panel.plot(list(values), list(values.values()), marker="o", markersize=3, linewidth=1.4 if spread else 0.8, **look)
+def _draw_points(panel: Axes, values: Mapping[int, float], spread: Mapping[int, tuple[float, float]], style: Mapping[str, Any]) -> None:
+    panel.plot(list(values), list(values.values()), marker="o", markersize=3, linewidth=1.4 if spread else 0.8, **style)
     if spread:
         low, high = zip(*spread.values(), strict=True)
-        panel.fill_between(list(spread), low, high, color=look["color"], alpha=0.12, linewidth=0)
+        panel.fill_between(list(spread), low, high, color=style["color"], alpha=0.12, linewidth=0)
 
 
 def _sizes_axis(panel: Axes, sizes: Sizes) -> None:

@@ -22,7 +22,7 @@ from cudc_bench.artefacts.manifest import KEY, Base, Import, Manifest, metadata_
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.api import draw_diagnostics
 from cudc_bench.leaderboard.datasets.diagnostics import REPRESENTATION, compare, read_diagnostics, series
-from cudc_bench.leaderboard.methods import LOSSES, looks
+from cudc_bench.leaderboard.methods import LOSSES, styles
 from cudc_bench.leaderboard.show.figures.diagnostics import diagnostic_files, draw_k, draw_losses, draw_representation
 from cudc_bench.leaderboard.show.terminal import of_diagnostics as diagnostics_to_rich
 
@@ -188,7 +188,7 @@ def test_growth_is_marked_in_the_methods_colour_while_marks_are_few(put: Callabl
         assert ("dotted: k grew" in figure.get_suptitle()) == bool(found)
         return found
 
-    colour = looks(["cudc"])["cudc"]["color"]
+    colour = styles(["cudc"])["cudc"]["color"]
     assert marks() == [(2500, colour), (3500, colour)]
     for seed in range(2, 14):
         put(seed=seed, diagnostics=grown((100 * seed, 3)))
@@ -321,7 +321,7 @@ def test_a_failed_write_is_one_line(put: Callable, tmp_path: Path) -> None:
 
 def test_all_registered_methods_look_different() -> None:
     methods = plugins.names("collectors")
-    assert len({(look["color"], look["linestyle"]) for look in looks(methods).values()}) == len(methods)
+    assert len({(style["color"], style["linestyle"]) for style in styles(methods).values()}) == len(methods)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- terminal

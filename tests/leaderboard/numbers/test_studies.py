@@ -21,7 +21,7 @@ from scipy import stats
 from cudc_bench import plugins
 from cudc_bench.artefacts.records import Record
 from cudc_bench.leaderboard.api import Report, make_leaderboard
-from cudc_bench.leaderboard.methods import ALIASES, canonical, looks
+from cudc_bench.leaderboard.methods import ALIASES, canonical, styles
 from cudc_bench.leaderboard.numbers import statistics
 from cudc_bench.leaderboard.numbers.grid import Column, Entry, Grid, number
 from cudc_bench.leaderboard.numbers.overall import ALL, build_overall
@@ -636,11 +636,11 @@ def test_no_labels_of_bars_overlap(count: int, width: str, runs: Callable) -> No
 
 def test_methods_of_a_study_can_be_told_apart_and_legends_never_merge_them() -> None:
     for plan in PLANS:
-        shown = looks(plan.methods)
-        assert len({(look["color"], look["linestyle"]) for look in shown.values()}) == len(plan.methods)
+        shown = styles(plan.methods)
+        assert len({(style["color"], style["linestyle"]) for style in shown.values()}) == len(plan.methods)
         assert len({(area["facecolor"], area["hatch"]) for area in map(filled, shown.values())}) == len(plan.methods)
     alike = [f"{'a' * 60}{i}" for i in range(3)]
-    names = legend(looks(alike))
+    names = legend(styles(alike))
     assert len(names) == 3
     assert max(map(len, names)) == 28
 

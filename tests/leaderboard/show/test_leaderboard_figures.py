@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from cudc_bench.leaderboard.methods import COLOURS, METHOD_ORDER, looks
+from cudc_bench.leaderboard.methods import COLOURS, METHOD_ORDER, styles
 from cudc_bench.leaderboard.numbers.figures import curve
 from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.leaderboard.show.figures.runs import curve_files, draw_curves
@@ -102,9 +102,9 @@ def test_no_date_is_written(make_record):
 
 def test_methods_look_different_and_the_papers_always_the_same():
     methods = [*METHOD_ORDER, *(f"other{i}" for i in range(9))]
-    assert len({(look["color"], look["linestyle"]) for look in looks(methods).values()}) == len(methods)
+    assert len({(style["color"], style["linestyle"]) for style in styles(methods).values()}) == len(methods)
     assert set(COLOURS) == set(METHOD_ORDER)
-    assert looks(["zeta", "cudc"])["cudc"] == looks(methods)["cudc"]
+    assert styles(["zeta", "cudc"])["cudc"] == styles(methods)["cudc"]
 
 
 def test_settings_of_matplotlib_are_left_as_they_were(make_record):

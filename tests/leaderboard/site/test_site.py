@@ -390,7 +390,7 @@ def test_text_of_strangers_stays_text(make_record, a, b, c, d):
 def test_records_of_one_dataset_id_with_other_arrays_are_both_shown(make_record):
     site = site_of([make_record(), make_record(algorithm="cql", dataset_fingerprint="b" * 64)])
     (dataset,) = site.datasets
-    page = text_of(parse(site_files(site)[f"datasets/{dataset.word}.html"]))
+    page = text_of(parse(site_files(site)[f"datasets/{dataset.slug}.html"]))
     assert "a" * 64 in page
     assert "b" * 64 in page
 

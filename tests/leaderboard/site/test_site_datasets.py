@@ -49,7 +49,7 @@ def test_tasks_and_algorithms_share_a_dataset_and_settings_do_not(make_record):
     others = [make_record(seed=2), make_record(dataset_overrides={"steps": 5}), make_record(dataset_profile="demo", profile="demo")]
     found = of(*same, *others)
     assert sorted(len(one.records) for one in found) == [1, 1, 1, 4]
-    assert len({one.word for one in found}) == 4
+    assert len({one.slug for one in found}) == 4
     (shared,) = [one for one in found if len(one.records) == 4]
     assert [(task, one) for task, one, _ in shared.labelled] == [("run", "walker/run/cudc-seed1-v0"), ("walk", "walker/walk/cudc-seed1-v0")]
 
@@ -69,7 +69,7 @@ def test_a_dataset_that_is_here_is_measured(local, tmp_path):
     (dataset,) = of(*local())
     found, remarks = find_local([dataset], tmp_path)
     assert remarks == []
-    one = found[dataset.word]
+    one = found[dataset.slug]
     assert (one.id, one.manifest) == ("walker/cudc-v0", read_manifest("walker/cudc-v0"))
     # Episodes are equally long, so that the mean over trajectories is that over steps; rewards were computed when it was labelled.
     for task in ("stand", "walk", "run", "flip"):
@@ -83,22 +83,22 @@ def test_what_was_measured_is_kept_until_something_changes(local, tmp_path, monk
     (dataset,) = of(*local())
     output = tmp_path / "report"
     first, _ = find_local([dataset], output)
-    site_datasets.write_files(output / "datasets", {f"{dataset.word}.{name}.svg": svg for name, svg in first[dataset.word].figures.items()})
+    site_datasets.write_files(output / "datasets", {f"{dataset.slug}.{name}.svg": svg for name, svg in first[dataset.slug].figures.items()})
     kept = (output / "datasets" / "measures.json").read_bytes()
     calls = []
     measure = site_datasets.measure
     monkeypatch.setattr(site_datasets, "measure", lambda *a: calls.append("measured") or measure(*a))
-    monkeypatch.setattr(site_datasets, "_draw", lambda *a: calls.append("drawn") or first[dataset.word].figures)
+    monkeypatch.setattr(site_datasets, "_draw", lambda *a: calls.append("drawn") or first[dataset.slug].figures)
     again, _ = find_local([dataset], output)
     assert calls == []
     assert again == first
     assert (output / "datasets" / "measures.json").read_bytes() == kept
     # A figure that somebody changed is drawn again, a damaged file of measures is made again.
-    (output / "datasets" / f"{dataset.word}.k.svg").write_text("<svg/>")
-    assert find_local([dataset], output)[0][dataset.word].figures == first[dataset.word].figures
+    (output / "datasets" / f"{dataset.slug}.k.svg").write_text("<svg/>")
+    assert find_local([dataset], output)[0][dataset.slug].figures == first[dataset.slug].figures
     assert calls == ["drawn"]
     (output / "datasets" / "measures.json").write_text('{"measures": {"x": 1}}')
-    assert find_local([dataset], output)[0][dataset.word].figures == first[dataset.word].figures
+    assert find_local([dataset], output)[0][dataset.slug].figures == first[dataset.slug].figures
     assert calls == ["drawn", "measured", "drawn"]
 
 
@@ -122,10 +122,10 @@ def test_its_page_shows_what_was_measured(local, save, tmp_path):
     output = tmp_path / "report"
     report = make_leaderboard(save(*local()), output)
     (dataset,) = datasets_of(report.tables)
-    page = (output / "datasets" / f"{dataset.word}.html").read_text()
+    page = (output / "datasets" / f"{dataset.slug}.html").read_text()
     for name in ("density", "k", "losses"):
-        assert f'src="{dataset.word}.{name}.svg"' in page
-        assert (output / "datasets" / f"{dataset.word}.{name}.svg") in report.files
+        assert f'src="{dataset.slug}.{name}.svg"' in page
+        assert (output / "datasets" / f"{dataset.slug}.{name}.svg") in report.files
     assert "was not measured" not in page
     manifest = read_manifest("walker/cudc-v0")
     assert manifest.created in page
