@@ -18,6 +18,7 @@ from .text import bracketed, chance, text
 
 if TYPE_CHECKING:
     from rich.console import Group
+    from rich.table import Table as Shown
 
 _NARROW = 2  # digits behind the point of a study's numbers, at most
 _SIDE_BY_SIDE = 6
@@ -29,12 +30,10 @@ def of_table(table: Table) -> Group:
 
     Tasks are the rows as in the files, but methods are where there are too many of them to stand side by side in 80 columns.
     """
-    from rich import box
     from rich.console import Group
-    from rich.table import Table as Grid
     from rich.text import Text
 
-    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown = _empty()
     shown.add_column("")
     turned = len(table.headings) > _SIDE_BY_SIDE
     for name in table.tasks if turned else table.headings:
@@ -67,9 +66,7 @@ def of_table(table: Table) -> Group:
 
 def of_study(study: Study) -> Group:
     """Title, tables and notes."""
-    from rich import box
     from rich.console import Group, RenderableType
-    from rich.table import Table
     from rich.text import Text
 
     parts: list[RenderableType] = [Text(study.heading, style="bold")]
@@ -77,7 +74,7 @@ def of_study(study: Study) -> Group:
         if grid.long:
             parts.append(Text(f"{grid.title}: {study.folder}/{study.name}-{grid.name}.csv, {study.name}.md"))
             continue
-        shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+        shown = _empty()
         for name in ("", *grid.head[1:]):
             shown.add_column(name)
         for column in grid.columns:
@@ -98,13 +95,11 @@ def of_study(study: Study) -> Group:
 
 def of_overall(overall: Overall) -> Group:
     """The headline comparison, the mean with its interval first."""
-    from rich import box
     from rich.console import Group
-    from rich.table import Table as Grid
     from rich.text import Text
 
     comparison = overall.headline
-    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown = _empty()
     shown.add_column("")
     for name in ("mean", "95 % interval", "IQM", "median", "gap", "P(rank 1)", "seeds"):
         shown.add_column(name, justify="right")
@@ -132,12 +127,10 @@ def of_diagnostics(comparison: Comparison) -> Group:
 
     Where some have a representation, also its last forward error over persistence, effective rank and spread.
     """
-    from rich import box
     from rich.console import Group
-    from rich.table import Table as Grid
     from rich.text import Text
 
-    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown = _empty()
     measured = REPRESENTATION_COLUMNS if comparison.having(REPRESENTATION_COLUMNS) else {}
     for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy", *measured.values()):
         shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
@@ -157,12 +150,10 @@ def of_diagnostics(comparison: Comparison) -> Group:
 
 def of_quality(table: QualityTable) -> Group:
     """A line for each dataset."""
-    from rich import box
     from rich.console import Group
-    from rich.table import Table as Grid
     from rich.text import Text
 
-    shown = Grid(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    shown = _empty()
     for index, name in enumerate(
         (
             "method",
@@ -180,6 +171,13 @@ def of_quality(table: QualityTable) -> Group:
         shown.add_row(*(Text(cell) for cell in (plain(one.manifest.label), str(one.manifest.seed), *_rewards(one), *_spread(one))))
     title = Text(f"{table.domain}, profile {table.group}: mean reward per step of each task, and how far the data spread", style="bold")
     return Group(title, shown)
+
+
+def _empty() -> Shown:
+    from rich import box
+    from rich.table import Table as Shown
+
+    return Shown(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
 
 
 def _rewards(one: Quality) -> list[str]:

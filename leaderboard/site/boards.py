@@ -19,7 +19,7 @@ from ..numbers.scale import Scale, largest_return
 from ..numbers.statistics import student
 from ..numbers.table import Table, seed_scores
 from ..numbers.words import short, span
-from .models import MISSING, Grid, Heading, Item, Line, Page, Section, bar, dots
+from .models import MISSING, Heading, HtmlTable, Item, Page, Row, Section, bar, dots
 from .parts import (
     ComparisonPage,
     Paper,
@@ -70,9 +70,9 @@ class Boards(Studies):
         return Page("index.html", "Leaderboard of data collectors", (), lead, self.badges(first),
                     (*sections[:1], choose, *sections[1:], *self._problems(), self._reading(boards), self._behind(records)))  # fmt: skip
 
-    def _boards_grid(self, boards: Sequence[ComparisonPage]) -> Grid:
+    def _boards_grid(self, boards: Sequence[ComparisonPage]) -> HtmlTable:
         lines = [
-            Line(
+            Row(
                 Item(brief(one.group), link=one.path),
                 (Item(one.algorithm), Item(", ".join(table.domain for table in one.tables)), count(len(one.methods)),
                  Item(span([cell.n for table in one.tables for cell in table.cells.values()] or [0], "seed")
@@ -82,7 +82,7 @@ class Boards(Studies):
         ]  # fmt: skip
         columns = (Heading("algorithm", number=False), Heading("domains", number=False), Heading("methods"), Heading("seeds", number=False),
                    Heading("runs"))  # fmt: skip
-        return Grid("What may be compared, by profile with its settings and offline algorithm", "profile", columns, tuple(lines))
+        return HtmlTable("What may be compared, by profile with its settings and offline algorithm", "profile", columns, tuple(lines))
 
     def _problems(self) -> tuple[Section, ...]:
         if not self.site.problems:
@@ -116,13 +116,13 @@ class Boards(Studies):
         return Section("How to read it", lines=tuple(map(Item, lines)))
 
     def _behind(self, records: Sequence[Record]) -> Section:
-        def grid(caption: str, first: str, names: Sequence[str], counts: Counter[tuple[str, ...]]) -> Grid:
+        def grid(caption: str, first: str, names: Sequence[str], counts: Counter[tuple[str, ...]]) -> HtmlTable:
             shown = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
-            lines = [Line(Item(brief(key[0])), (*(Item(brief(text) or MISSING) for text in key[1:]), count(n))) for key, n in shown[:20]]
+            lines = [Row(Item(brief(key[0])), (*(Item(brief(text) or MISSING) for text in key[1:]), count(n))) for key, n in shown[:20]]
             if len(shown) > 20:
                 rest = sum(n for _, n in shown[20:])
-                lines.append(Line(Item(f"{len(shown) - 20} others"), (*(Item() for _ in names), count(rest))))
-            return Grid(caption, first, (*(Heading(name, number=False) for name in names), Heading("runs")), tuple(lines))
+                lines.append(Row(Item(f"{len(shown) - 20} others"), (*(Item() for _ in names), count(rest))))
+            return HtmlTable(caption, first, (*(Heading(name, number=False) for name in names), Heading("runs")), tuple(lines))
 
         packages = ("torch", "mujoco", "numpy")
         codes: Counter[tuple[str, ...]] = Counter(
@@ -177,7 +177,7 @@ class Boards(Studies):
             lead=f"{PRELIMINARY}" if headline.preliminary else "",
         )]  # fmt: skip
 
-    def _standings(self, board: ComparisonPage, comparison: Comparison) -> Grid:
+    def _standings(self, board: ComparisonPage, comparison: Comparison) -> HtmlTable:
         standings = sorted(comparison.standings, key=lambda one: -one.estimates[LEAD].value)
         highs = [within.high for one in standings if (within := one.estimates[LEAD].interval)]
         largest = ceil(10 * max([*highs, *(one.estimates[LEAD].value for one in standings), 0.1]) - 1e-9) / 10
@@ -185,9 +185,9 @@ class Boards(Studies):
             Heading(NAMES[LEAD]), Heading("95 % interval", sorts=False), Heading(f"0 to {largest:g}", number=False, sorts=False),
             *([] if comparison.unranked else [Heading("P(rank 1)")]), *(Heading(NAMES[name]) for name in _FURTHER), Heading("seeds"),
         )  # fmt: skip
-        lines = [Line(self.name(one.method), self._standing(one, largest)) for one in standings]
+        lines = [Row(self.name(one.method), self._standing(one, largest)) for one in standings]
         caption = f"{comparison.title}, {comparison.seeds}, by {NAMES[LEAD]}"
-        return Grid(caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods")
+        return HtmlTable(caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods")
 
     def _standing(self, standing: Standing, largest: float) -> tuple[Item, ...]:
         found = standing.estimates[LEAD]
@@ -233,7 +233,7 @@ class Boards(Studies):
             found.append(Section("Method against method", grids=pairs, text=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),), folded=True))
         return found
 
-    def _pairs(self, comparison: Comparison) -> Grid:
+    def _pairs(self, comparison: Comparison) -> HtmlTable:
         found = {(pair.method, pair.other): pair for pair in comparison.pairs}
         lines = []
         for method in comparison.methods:
@@ -242,12 +242,12 @@ class Boards(Studies):
                 pair = found.get((method, other))
                 within = f"{pair.interval.low:.2f} to {pair.interval.high:.2f}" if pair and pair.interval else ""
                 items.append(Item() if pair is None else Item(f"{pair.probability:.2f}", pair.probability, best=pair.better, note=within))
-            lines.append(Line(self.name(method), tuple(items)))
-        return Grid(f"Probability that the row's method is better than the column's, {comparison.title}", "better than",
+            lines.append(Row(self.name(method), tuple(items)))
+        return HtmlTable(f"Probability that the row's method is better than the column's, {comparison.title}", "better than",
                     tuple(Heading(method) for method in comparison.methods), tuple(lines), milestone=comparison.milestone,
                     filters="methods")  # fmt: skip
 
-    def _matrix(self, board: ComparisonPage, milestone: int) -> Grid:
+    def _matrix(self, board: ComparisonPage, milestone: int) -> HtmlTable:
         columns, groups = [], []
         for table in board.tables:
             groups.append((table.domain, len(table.tasks), domain_path(table)))
@@ -257,12 +257,12 @@ class Boards(Studies):
             items: list[Item] = []
             for table in board.tables:
                 items += [self.cell(table, milestone, task, method) for task in table.tasks]
-            lines.append(Line(self.name(method), tuple(items)))
+            lines.append(Row(self.name(method), tuple(items)))
         lines += self.ends([(table, task) for table in board.tables for task in table.tasks], lambda name, value: [self.end(name, value)])
         caption = (
             f"{board.algorithm}, profile {brief(board.group)}, {short(milestone)} gradient steps: mean ± sample standard deviation (seeds)"
         )
-        return Grid(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods")
+        return HtmlTable(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods")
 
     def domain(self, board: ComparisonPage, table: Table) -> Page:
         """The page of a table."""
@@ -314,7 +314,7 @@ class Boards(Studies):
         crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
         return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(sections))
 
-    def _task_grid(self, table: Table, milestone: int, task: str) -> Grid:
+    def _task_grid(self, table: Table, milestone: int, task: str) -> HtmlTable:
         largest, scale = largest_return(table.domain, task), self.scale(table, task)
         cells = {method: table.cells.get((milestone, task, method)) for method in table.methods}
         papers = self.paper(table)
@@ -335,14 +335,14 @@ class Boards(Studies):
                 items.append(Item("", cell.value, picture=picture))
                 if with_paper:
                     items += _paper_items(papers.get((milestone, task, method)), scale)
-            lines.append(Line(self.name(method), tuple(items)))
+            lines.append(Row(self.name(method), tuple(items)))
         lines += self.ends([(table, task)], lambda name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
         low, high = table.episodes[milestone]
         caption = (
             f"{table.domain} {task} after {short(milestone)} gradient steps, evaluation episodes:"
             f" {low if low == high else f'{low} to {high}'}"
         )
-        return Grid(caption, "method", tuple(columns), tuple(lines), milestone=milestone, filters="methods")
+        return HtmlTable(caption, "method", tuple(columns), tuple(lines), milestone=milestone, filters="methods")
 
     def _numbers(self, cell: Entry, scale: Scale | None, link: str) -> list[Item]:
         within = None if cell.std is None else student(cell.value, cell.std, cell.n)
@@ -357,20 +357,22 @@ class Boards(Studies):
         ]
 
 
-def _power(overall: Overall) -> tuple[Grid, ...]:
+def _power(overall: Overall) -> tuple[HtmlTable, ...]:
     """What several numbers of seeds can show."""
     if overall.power is None:
         return ()
     columns = tuple(map(Heading, ("least p", "after Holm's correction", f"lead found in {round(10 * FOUND)} of 10 cases")))
     lines = [
-        Line(Item(f"{one.seeds}{' (as here)' if one.seeds == overall.power.own else ''}", one.seeds), (
+        Row(Item(f"{one.seeds}{' (as here)' if one.seeds == overall.power.own else ''}", one.seeds), (
             Item(f"{one.least:.2g}", one.least), Item(f"{one.corrected:.2g}", one.corrected),
             Item() if one.lead is None else Item(overall.lead(one.lead), one.lead),
         ))
         for one in overall.power.designs
     ]  # fmt: skip
     return (
-        Grid(f"Seeds of each method in a domain, and what the test can find: {overall.headline.title}", "seeds", columns, tuple(lines)),
+        HtmlTable(
+            f"Seeds of each method in a domain, and what the test can find: {overall.headline.title}", "seeds", columns, tuple(lines)
+        ),
     )
 
 

@@ -18,7 +18,7 @@ from ..numbers.statistics import student
 from ..numbers.table import Table
 from ..numbers.words import short
 from .methods import describe
-from .models import MISSING, Figure, Grid, Heading, Item, Line, Page, Section
+from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import (
     ComparisonPage,
     Parts,
@@ -47,11 +47,11 @@ class Catalogue(Parts):
         sets: Counter[str] = Counter(dataset.method for dataset in self.site.datasets)
         for method in self.site.methods:
             known = describe(self._registered(method))
-            lines.append(Line(self.name(method), (
+            lines.append(Row(self.name(method), (
                 Item(known.family or MISSING), Item(known.citation or MISSING), count(sets[method]), count(counts[method]),
             )))  # fmt: skip
         columns = (Heading("explores by", number=False), Heading("from", number=False), Heading("datasets"), Heading("runs"))
-        grid = Grid("Methods with results", "method", columns, tuple(lines), filters="methods")
+        grid = HtmlTable("Methods with results", "method", columns, tuple(lines), filters="methods")
         return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Section("All methods", grids=(grid,)),))
 
     def _registered(self, method: str) -> str:
@@ -83,7 +83,7 @@ class Catalogue(Parts):
         facts = _standings(board, method)
         return Section(f"Results of {board.name}", grids=tuple(grids), facts=tuple(facts))
 
-    def _method_grid(self, board: ComparisonPage, tables: Sequence[Table], method: str, milestone: int) -> Grid:
+    def _method_grid(self, board: ComparisonPage, tables: Sequence[Table], method: str, milestone: int) -> HtmlTable:
         referenced = any(table.references for table in tables)
         lines = []
         for table in tables:
@@ -92,12 +92,12 @@ class Catalogue(Parts):
                 within = student(cell.value, cell.std, cell.n) if cell and cell.std is not None else None
                 bounds = table.references.get(task)
                 ends = [self.end(name, getattr(bounds, name, None)) for name in (FLOOR, CEILING)] if referenced else []
-                lines.append(Line(Item(f"{table.domain} {task}", link=self._task_link(board, table, task)), (
+                lines.append(Row(Item(f"{table.domain} {task}", link=self._task_link(board, table, task)), (
                     self.cell(table, milestone, task, method), Item(f"{within.low:.0f} to {within.high:.0f}") if within else Item(), *ends,
                 )))  # fmt: skip
         caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
         columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))
-        return Grid(caption, "task", columns, tuple(lines), milestone=milestone)
+        return HtmlTable(caption, "task", columns, tuple(lines), milestone=milestone)
 
     @staticmethod
     def _task_link(board: ComparisonPage, table: Table, task: str) -> str | None:
@@ -110,13 +110,13 @@ class Catalogue(Parts):
         lead = ("What was collected without rewards, and then trained on. One dataset is one seed of one method.",)
         return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), (Section("All datasets", grids=(grid,)),))
 
-    def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> Grid:
+    def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> HtmlTable:
         lines = []
         for dataset in datasets:
             local = self.site.local.get(dataset.slug)
             cells = local.quality.coverage.coverage_cells if local and local.quality and local.quality.coverage else None
             method = self.name(dataset.method)
-            lines.append(Line(Item(dataset.name, link=dataset_path(dataset)), (
+            lines.append(Row(Item(dataset.name, link=dataset_path(dataset)), (
                 *([method] if methods else []), Item(dataset.domain), count(dataset.seed), Item(brief(dataset.settings)),
                 count(dataset.steps), Item() if cells is None else count(cells), count(len(dataset.records)),
             )))  # fmt: skip
@@ -124,7 +124,7 @@ class Catalogue(Parts):
                    Heading("visited cells"), Heading("runs")]  # fmt: skip
         if methods:
             columns.insert(0, Heading("method", number=False))
-        return Grid(f"Datasets: {len(datasets):,}", "dataset", tuple(columns), tuple(lines), filters="datasets" if methods else "")
+        return HtmlTable(f"Datasets: {len(datasets):,}", "dataset", tuple(columns), tuple(lines), filters="datasets" if methods else "")
 
     def dataset(self, dataset: Dataset) -> Page:
         """The page of a dataset."""
@@ -135,8 +135,8 @@ class Catalogue(Parts):
             ("method", self.name(dataset.method)), ("domain", Item(domain_text(dataset.domain))), ("seed", Item(str(dataset.seed))),
             ("steps", Item(f"{dataset.steps:,}")), ("collected at", Item(dataset.settings)), ("origin", Item(", ".join(sources))),
         ]  # fmt: skip
-        labelled = Grid("What was trained on", "task", (Heading("dataset", number=False), Heading("fingerprint", number=False)), tuple(
-            Line(Item(task), (Item(one), Item(fingerprint))) for task, one, fingerprint in dataset.labelled
+        labelled = HtmlTable("What was trained on", "task", (Heading("dataset", number=False), Heading("fingerprint", number=False)), tuple(
+            Row(Item(task), (Item(one), Item(fingerprint))) for task, one, fingerprint in dataset.labelled
         ))  # fmt: skip
         sections = [Section("What it is", facts=tuple(facts), grids=(labelled,))]
         load = [("", f'minari.load_dataset("{one}")') for one in dict.fromkeys(one for _, one, _ in dataset.labelled)]
@@ -177,14 +177,14 @@ class Catalogue(Parts):
         for record in sorted(dataset.records, key=lambda r: (r.group, r.algorithm, r.dataset.task, r.seed)):
             table = self.table_of[id(record)]
             link = runs_path(table, record.dataset.task, column(record))
-            lines.append(Line(Item(record.dataset.task, link=link), (
+            lines.append(Row(Item(record.dataset.task, link=link), (
                 Item(record.algorithm), Item(brief(plain(record.group))), count(record.seed), self._final(table, record),
                 Item(f"{record.seconds:,.0f}", record.seconds), Item(f"{version(record, 'cudc-bench')}, {commit(record)}"),
                 Item(machine_text(record) or MISSING),
             )))  # fmt: skip
         columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
-        return Section("Runs on it", grids=(Grid("Trainings on this dataset", "task", columns, tuple(lines)),))
+        return Section("Runs on it", grids=(HtmlTable("Trainings on this dataset", "task", columns, tuple(lines)),))
 
 
 def _standings(board: ComparisonPage, method: str) -> list[tuple[str, Item]]:
@@ -213,14 +213,16 @@ def _measured(dataset: Dataset, local: Local) -> list[Section]:
                 map(Heading, ("mean", "25 %", "50 %", "75 %", "95 %", "best", "top 1 % of steps", "steps > 0.5", "steps > 0.9"))
             )
             lines = [
-                Line(Item(task), (
+                Row(Item(task), (
                     *(Item(f"{value:.3f}", value) for value in (one.mean, *one.quantiles, one.best, one.top)),
                     *(Item(f"{value:.1%}", value) for value in (one.above_half, one.above_nine)),
                 ))
                 for task, one in quality.rewards.items()
             ]  # fmt: skip
             grids.append(
-                Grid("Rewards that its states are worth, per step; mean, quantiles and best of trajectories", "task", columns, tuple(lines))
+                HtmlTable(
+                    "Rewards that its states are worth, per step; mean, quantiles and best of trajectories", "task", columns, tuple(lines)
+                )
             )
         if quality.coverage:
             facts += [("visited cells", Item(f"{quality.coverage.coverage_cells:,}")),

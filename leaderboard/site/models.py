@@ -61,7 +61,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Line:
+class Row:
     """A row of a grid: its head, which filters look at, and its cells."""
 
     head: Item
@@ -69,8 +69,8 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Grid:
-    """A table.
+class HtmlTable:
+    """A table of a page: of a :class:`~..numbers.grid.Grid`'s numbers, or of texts, links and small pictures, which no other output has.
 
     Attributes:
         caption: what it is.
@@ -85,7 +85,7 @@ class Grid:
     caption: str
     first: str
     columns: tuple[Heading, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[Row, ...]
     groups: tuple[tuple[str, int, str | None], ...] = ()
     milestone: int | None = None
     filters: str = ""
@@ -126,7 +126,7 @@ class Section:
     """
 
     title: str
-    grids: tuple[Grid, ...] = ()
+    grids: tuple[HtmlTable, ...] = ()
     figures: tuple[Figure, ...] = ()
     downloads: tuple[tuple[str, str], ...] = ()
     lead: str = ""
@@ -141,7 +141,7 @@ class Section:
     milestone: int | None = None
 
     @property
-    def every_grid(self) -> list[Grid]:
+    def every_grid(self) -> list[HtmlTable]:
         """Its tables and those of its parts."""
         return [*self.grids, *(grid for part in self.parts for grid in part.every_grid)]
 
@@ -167,7 +167,7 @@ class Page:
     sections: tuple[Section, ...] = ()
 
     @property
-    def grids(self) -> list[Grid]:
+    def grids(self) -> list[HtmlTable]:
         """All of its tables."""
         return [grid for section in self.sections for grid in section.every_grid]
 

@@ -25,7 +25,7 @@ from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import file_slug, group_slug, ordered, span
-from .models import MISSING, Figure, Item, Line, Section, swatch
+from .models import MISSING, Figure, Item, Row, Section, swatch
 
 Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
@@ -233,7 +233,7 @@ class Parts:
         """By what a task's returns are normalised where a reader asks for it."""
         return scale_of(table.domain, task, table.references)
 
-    def ends(self, places: Sequence[tuple[Table, str]], items: Callable[[str, float | None], Sequence[Item]]) -> list[Line]:
+    def ends(self, places: Sequence[tuple[Table, str]], items: Callable[[str, float | None], Sequence[Item]]) -> list[Row]:
         """Rows of floors and ceilings below those of methods; none if no task has a reference.
 
         Args:
@@ -243,7 +243,7 @@ class Parts:
         if not any(table.references for table, _ in places):
             return []
         return [
-            Line(Item(LABELS[name]), tuple(
+            Row(Item(LABELS[name]), tuple(
                 item
                 for table, task in places
                 for item in items(name, getattr(table.references[task], name) if task in table.references else None)

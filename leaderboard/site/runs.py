@@ -8,7 +8,7 @@ from cudc_bench.artefacts.records import Record
 
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import short, span
-from .models import MISSING, Grid, Heading, Item, Line, Page, Section
+from .models import MISSING, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import (
     ComparisonPage,
     Parts,
@@ -50,7 +50,7 @@ class Runs(Parts):
                 numbers = [Item()] * 4
                 if found is not None:
                     numbers = [number(found.mean), number(min(found.returns)), number(max(found.returns)), count(len(found.returns))]
-                lines.append(Line(Item(f"seed {record.dataset.seed}", record.dataset.seed, f"#{ids[id(record)]}"), (
+                lines.append(Row(Item(f"seed {record.dataset.seed}", record.dataset.seed, f"#{ids[id(record)]}"), (
                     count(record.seed), *numbers, Item(dataset.name, link=dataset_path(dataset)),
                 )))  # fmt: skip
             columns = (Heading("training seed"), Heading("mean return"), Heading("lowest"), Heading("highest"), Heading("episodes"),
@@ -58,7 +58,7 @@ class Runs(Parts):
             cell = table.cells.get((milestone, task, method))
             result = "no result" if cell is None else f"{pm(cell.value, cell.std)} over {span([cell.n], 'seed')}"
             caption = f"{method} on {table.domain} {task} after {short(milestone)} gradient steps: {result}"
-            grid = Grid(caption, "collector seed", columns, tuple(lines))
+            grid = HtmlTable(caption, "collector seed", columns, tuple(lines))
             sections.append(Section(f"After {short(milestone)} gradient steps", grids=(grid,), id=f"at-{milestone}"))
         parts = tuple(self._run(table, record, ids[id(record)]) for record in records)
         sections.append(Section("Each run", parts=parts))

@@ -12,7 +12,7 @@ from ..numbers.columns import column
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS
 from ..show.text import text
-from .models import Figure, Grid, Heading, Item, Line, Page, Section
+from .models import Figure, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import ComparisonPage, Parts, method_path, runs_path, study_path
 
 
@@ -62,9 +62,9 @@ class Studies(Parts):
             for line in part.lines:
                 items = [self._item(entry, one, line.labels, milestone) for one, entry in zip(table.columns, line.entries, strict=True)]
                 head, *further = map(self._label, line.labels)
-                lines.append(Line(head, (*further, *items)))
+                lines.append(Row(head, (*further, *items)))
             columns = (*(Heading(name, number=False) for name in table.head[1:]), *(Heading(one.name) for one in table.columns))
-            grids.append(Grid(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
+            grids.append(HtmlTable(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
         return Section(table.title, grids=tuple(grids), text=(table.caption,))
 
     def _label(self, label: str) -> Item:
