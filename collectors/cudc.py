@@ -89,7 +89,7 @@ class CUDCConfig(DDPGConfig):
     keys: PositiveInt | None = field(default=None, metadata=ADDED_LATER)
     w_init: Literal["uniform", "scaled_identity"] = "uniform"
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0, 1.0, 1.0)
-    state_target: Literal["live", "stopgrad", "momentum"] = "live"
+    state_target: Literal["live", "stopgrad", "momentum"] = "stopgrad"
     action_target: Literal["stopgrad", "live"] = "stopgrad"
     knn_exclude_self: bool = False
     reward_after_update: bool = False

@@ -11,7 +11,7 @@ LEARNER_ORDER = ("td3", "cql")  # of offline algorithms: the paper's
 # Of CUDC's diagnostics.
 LOSSES = {"loss_forward": "forward", "loss_inverse": "inverse", "loss_step": "step", "loss_reach": "contrastive"}
 # Two names of one class: whatever was collected under the first can stand wherever the second is asked for, and the other way round.
-ALIASES = {"cudc-kmax6": "cudc", "cudc-live": "cudc", "cudc-no-regularize": "cudc-reach", "cudc-no-vary": "cudc-kmax3"}
+ALIASES = {"cudc-kmax6": "cudc", "cudc-stopgrad": "cudc", "cudc-no-regularize": "cudc-reach", "cudc-no-vary": "cudc-kmax3"}
 
 # From Okabe and Ito's palette, which colour-blind people can tell apart; a method has the same colour in every figure.
 COLOURS = {

@@ -19,7 +19,7 @@ from typing import Any
 from cudc_bench.artefacts.ids import DatasetId, default_id
 from cudc_bench.artefacts.k_schedule import k_schedule
 from cudc_bench.artefacts.manifest import exists, read_manifest
-from cudc_bench.artefacts.records import read_record
+from cudc_bench.artefacts.records import read_record, record_path
 from cudc_bench.data.diagnostics import diagnostics_path
 
 READINGS, SEEDS = ("cudc-stopgrad", "cudc-momentum", "cudc-live"), range(1, 6)
@@ -68,7 +68,8 @@ def scores_of(method: str, records: Path) -> list[list[float]]:
     """The score of each task, for each seed; seeds of which a task is missing are left out."""
     found = []
     for seed in SEEDS:
-        paths = [records / "cpu" / "walker" / task / f"{method}-v0" / f"td3-seed{seed}.json" for task in TASKS]
+        one = default_id("walker", method, seed)
+        paths = [record_path(records, str(one.for_task(task)), "td3", seed, "cpu") for task in TASKS]
         if all(path.exists() for path in paths):
             scores = [read_record(path).score(MILESTONE) for path in paths]
             found.append([score for score in scores if score is not None])

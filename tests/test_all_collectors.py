@@ -25,7 +25,8 @@ STUDIED = {
 }  # fmt: skip
 # Names whose datasets on Walker are the same: aliases, and what one setting for all domains is there (see collectors/variants.py).
 SAME = {
-    "cudc-no-regularize": "cudc-reach", "cudc-kmax3": "cudc-no-vary", "cudc-kmax6": "cudc", "cudc-live": "cudc", "cudc-one-setting": "cudc",
+    "cudc-no-regularize": "cudc-reach", "cudc-kmax3": "cudc-no-vary", "cudc-kmax6": "cudc", "cudc-stopgrad": "cudc",
+    "cudc-one-setting": "cudc",
 }  # fmt: skip
 SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "smm": 4}
 

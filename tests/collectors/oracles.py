@@ -548,7 +548,7 @@ def cudc(
     temperature: float = 1.0,
     keys: int | None = None,
     loss_weights: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
-    state_target: str = "live",
+    state_target: str = "stopgrad",
     action_target: str = "stopgrad",
     weight_mode: str = "prob",
     reward_after_update: bool = False,
@@ -680,12 +680,12 @@ ORACLES: dict[str, Callable[..., Found]] = {
     "icm": icm, "apt": apt, "apt-k6": apt, "apt-ksched": apt_schedule, "be": be, "proto": proto, "aps": aps, "rnd": rnd,
     "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic,
     **{name: partial(cudc, parts=parts) for name, parts in RELATIVES.items()},
-    # ICM's and APT's own rewards, of the updated networks.
-    "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True),
-    "cudc-vary-apt": partial(cudc, parts=RELATIVES["cudc-vary-apt"], beta=0.0, reward_after_update=True),
+    # ICM's and APT's own rewards, of the updated networks, and APT's own target, with its gradient.
+    "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True, state_target="live"),
+    "cudc-vary-apt": partial(cudc, parts=RELATIVES["cudc-vary-apt"], beta=0.0, reward_after_update=True, state_target="live"),
     "cudc-one-setting": partial(cudc, parts=Parts(), alpha=1e-3, beta=1e-2, clip_low=0.2, clip_high=1.0, c_w=0.02),
-    "cudc-no-reach": partial(cudc, parts=RELATIVES["cudc-no-reach"], state_target="stopgrad"),
-    "cudc-stopgrad": partial(cudc, parts=Parts(), state_target="stopgrad"),
+    "cudc-reward": partial(cudc, parts=RELATIVES["cudc-reward"], state_target="live"),
+    "cudc-live": partial(cudc, parts=Parts(), state_target="live"),
     "cudc-momentum": partial(cudc, parts=Parts(), state_target="momentum"),
     "cudc-literal": partial(cudc, parts=Parts(), state_target="live", action_target="live"),
 }  # fmt: skip

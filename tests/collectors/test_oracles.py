@@ -56,7 +56,7 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
         {"normalise_by": "std", "neighbours": 5, "knn_exclude_self": True, "temperature": 1.3, "distance_floor": 0.5, "skill_dim": 7},
     ],
     "cudc": [
-        {"state_target": "stopgrad", "knn_exclude_self": True, "neighbours": 5} | GROWING,
+        {"state_target": "live", "knn_exclude_self": True, "neighbours": 5} | GROWING,
         {"state_target": "momentum", "momentum_tau": 0.3, "alpha": 2.0, "beta": 0.5, "loss_weights": (0.5, 2.0, 3.0, 0.1)},
         {"action_target": "live", "temperature": 3.0, "td_discount": "gamma", "keys": 50},
         {"weight_mode": "mean_normalised", "clip_low": 0.99, "clip_high": 1.01, "patience": 2} | GROWING | {"c_w": 0.98},
@@ -117,8 +117,6 @@ def title(run: tuple[str, dict[str, Any]]) -> str:
 def of_a_run(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The values of a run that differ from the method's own."""
     kind, common = plugins.load("collectors", name), dict(SMALL_SIZES.get(name, {}))
-    if "state_target" in vars(kind.configure("walker")) and "state_target" not in kind.values:
-        common["state_target"] = "live"
     if (threshold := kind.measured_by_pilot(kind.configure("walker"))) is not None:
         common[threshold] = 0.5
     return common | settings

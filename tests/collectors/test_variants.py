@@ -29,7 +29,7 @@ TABLE = {
          "cudc-stopgrad", "cudc-momentum", "cudc-literal", "cudc-kmix"], ("weight", 6),
     ),
 }  # fmt: skip
-ALIASES = [("cudc-reach", "cudc-no-regularize"), ("cudc-no-vary", "cudc-kmax3"), ("cudc", "cudc-kmax6"), ("cudc", "cudc-live")]
+ALIASES = [("cudc-reach", "cudc-no-regularize"), ("cudc-no-vary", "cudc-kmax3"), ("cudc", "cudc-kmax6"), ("cudc", "cudc-stopgrad")]
 THRESHOLDS = {"weight": "c_w", "reward": "c_r", "error": "c_e"}
 
 

@@ -1033,6 +1033,11 @@ CUDC = [
         ("momentum_tau: UnitInterval = 0.05", "momentum_tau: UnitInterval = 0.01"),
         ("temperature: PositiveFloat = 1.0", "temperature: PositiveFloat = 0.5"),
         ("keys: PositiveInt | None = field(default=None", "keys: PositiveInt | None = field(default=1024"),
+        (
+            'state_target: Literal["live", "stopgrad", "momentum"] = "stopgrad"',
+            'state_target: Literal["live", "stopgrad", "momentum"] = "live"',
+            'state_target: Literal["live", "stopgrad", "momentum"] = "momentum"',
+        ),
         ('action_target: Literal["stopgrad", "live"] = "stopgrad"', 'action_target: Literal["stopgrad", "live"] = "live"'),
         (
             '"walker": {"alpha": 1e-3, "beta": 1e-2, "clip_low": 0.2, "clip_high": 2.0',
@@ -1059,8 +1064,16 @@ CUDC = [
         ),
     ),
     *mutants(
-        "collectors/variants.py", ("cudc-no-reach",),
-        ('"state_target": "stopgrad", "k_rule": "error"', '"state_target": "live", "k_rule": "error"'),
+        "collectors/variants.py", ("cudc-live",),
+        ('= {"state_target": "live"}', "= {}", '= {"state_target": "momentum"}'),
+    ),
+    *mutants(
+        "collectors/variants.py", ("cudc-momentum",),
+        ('= {"state_target": "momentum"}', "= {}"),
+    ),
+    *mutants(
+        "collectors/variants.py", ("cudc-reward",),
+        ('"state_target": "live", "k_rule": "reward"', '"k_rule": "reward"'),
     ),
     *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
@@ -1097,6 +1110,7 @@ CUDC = [
             '"prediction_error": "none", "beta": 0.0',
             '"beta": 0.0, "reward_after_update": True',
         ),
+        ('"state_target": "live",\n        "prediction_error": "none"', '"prediction_error": "none"'),
     ),
 ]  # fmt: skip
 
