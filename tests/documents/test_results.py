@@ -1,5 +1,7 @@
 """What is said of the project's own results is what its records say."""
 
+import csv
+import importlib.util
 from collections import defaultdict
 from collections.abc import Iterable
 from itertools import product
@@ -19,7 +21,7 @@ from cudc_bench.leaderboard.show.markdown import of_table as to_markdown
 from tests import ROOT
 
 BLOCK = ROOT / "results" / "cpu" / "walker"
-METHODS = ("random", "icm", "apt", "aps", "cudc")
+OLD, NEW = ("random", "icm", "apt", "aps"), ("cudc-stopgrad", "cudc-momentum")
 TASKS = ("stand", "walk", "run", "flip")
 
 
@@ -33,63 +35,63 @@ def section() -> str:
     return (ROOT / "docs" / "results.md").read_text()
 
 
-def test_the_walker_block_is_whole_and_each_record_keeps_the_rules_for_those_of_others(tmp_path: Path) -> None:
-    paths = sorted(BLOCK.rglob("td3-seed*.json"))
-    records = [read_record(path) for path in paths]
+@pytest.mark.parametrize("methods", [OLD, NEW], ids=["one evaluation", "three evaluations"])
+def test_each_block_is_whole_and_its_records_keep_the_rules_for_those_of_others(methods: tuple[str, ...], tmp_path: Path) -> None:
+    every = {path: read_record(path) for path in sorted(BLOCK.rglob("td3-seed?.json"))}
+    assert {record.dataset.method for record in every.values()} == {*OLD, *NEW}
+    found = {path: record for path, record in every.items() if record.dataset.method in methods}
+    records = list(found.values())
     runs = [(record.dataset.method, record.seed, record.dataset.task) for record in records]
-    assert sorted(runs) == sorted(product(METHODS, range(1, 6), TASKS))
+    assert sorted(runs) == sorted(product(methods, range(1, 6), TASKS))
     assert all(record.dataset.seed == record.seed for record in records)
     assert {(record.profile, record.algorithm, record.dirty) for record in records} == {("cpu", "td3", False)}
     assert len({(record.commit, record.hyperparameters_hash, str(record.versions)) for record in records}) == 1
     assert len({record.dataset.fingerprint for record in records}) == len(records)
-    assert len(cudc_bench.submit(paths, by="us", output=tmp_path).files) == len(paths)
+    assert len(cudc_bench.submit(list(found), by="us", output=tmp_path).files) == len(records)
 
 
 def test_the_tables_are_those_of_the_records(report: Report, section: str) -> None:
     shown = [line for line in section.splitlines() if line.startswith("|")]
-    (table,) = report.tables
-    (overall,) = report.overall
-    returns = [line.replace(" (5)", "") for line in to_markdown(table).splitlines() if line.startswith("|")]
-    assert shown == [*returns, *standings(overall.headline)]
-    assert f'"{table.group}"' in section
+    expected = []
+    for table, overall in zip(report.tables, report.overall, strict=True):
+        expected += [line.replace(" (5)", "") for line in to_markdown(table).splitlines() if line.startswith("|")]
+        expected += standings(overall.headline)
+    assert shown == expected
+    assert f'"{report.tables[1].group}"' in section
+    assert {overall.headline.unit for overall in report.overall} == {BETWEEN}
     assert not report.problems
-    assert not report.missing
+    # The reading that the study ruled out before it came to returns.
+    assert report.missing
+    assert {(one.study, one.method) for one in report.missing} == {("readings", "cudc-live")}
 
 
-def test_the_readmes_number_and_table_are_those_of_the_records(report: Report) -> None:
+def test_the_readmes_number_and_tables_are_those_of_the_records(report: Report) -> None:
     text = (ROOT / "README.md").read_text()
-    headline = report.overall[0].headline
     shown = text.split("\n## Results so far\n")[1].split("\n## ")[0]
-    assert [line for line in shown.splitlines() if line.startswith("|")] == standings(headline)
-    (cudc,) = [one.estimates["mean"] for one in headline.standings if one.method == "cudc"]
+    assert [line for line in shown.splitlines() if line.startswith("|")] == [
+        line for overall in report.overall for line in standings(overall.headline)
+    ]
+    (cudc,) = [one.estimates["mean"] for one in report.overall[0].headline.standings]
     assert f"**{cudc.value:.3f}** {_ends(cudc.interval)}" in text.split("\n## One number\n")[1].split("\n## ")[0]
 
 
 def test_the_sentences_are_those_of_the_records(report: Report, section: str) -> None:
     said = " ".join(section.split())
-    overall = report.overall[0]
-    found = overall.headline
-    means = {one.method: one.returns[0].mean(1) for one in found.standings}  # (5,) points a task of each collector seed
-    average = {method: of.mean() for method, of in means.items()}
-    lead = {method: average["cudc"] - average[method] for method in means}
-    error = {method: np.sqrt((means["cudc"].var(ddof=1) + of.var(ddof=1)) / len(of)) for method, of in means.items()}
-    leads, errors = (listed(f"{of[method]:.0f}" for method in ("aps", "apt", "icm")) for of in (lead, error))
-    assert f"ahead of APS, APT and ICM (by {leads} points a task; standard errors {errors})" in said
-    icm = found.pair("cudc", "icm")
-    assert f"has p = {icm.p:.3f}, which Holm's correction for four comparisons makes {icm.holm:.3f}" in said
-    # The test's second smallest p counted four times then, of five comparisons.
-    assert f"ProtoRL's records that were there at first, {4 * icm.p:.3f}" in said
-    assert {(pair.method, pair.other) for pair in found.pairs if pair.better} == {
-        *((method, "random") for method in METHODS[1:]), ("cudc", "icm"),
-    }  # fmt: skip
+    new, old = report.overall
+    means = {one.method: one.returns[0].mean(1) for of in (new, old) for one in of.headline.standings}  # (5,) points a task of each seed
     ends = {method: f"from {of.min():.0f} to {of.max():.0f}" for method, of in means.items()}
-    ranges = f"ICM's five range {ends['icm']}, of APT's {ends['apt']}, of APS's {ends['aps']}, of CUDC's {ends['cudc']}"
-    assert ranges in said
-    explorers = [average[method] for method in METHODS[1:]]
-    assert f"the four methods' own from {min(explorers):.0f} to {max(explorers):.0f}" in said
+    assert f"The means of the five seeds range {ends['cudc']} points a task" in said
+    assert f"ICM's five range {ends['icm']}, of APT's {ends['apt']}, of APS's {ends['aps']}" in said
+    explorers = [means[method].mean() for method in OLD[1:]]
+    assert f"the three methods' own from {min(explorers):.0f} to {max(explorers):.0f}" in said
+    found = old.headline
+    assert {(pair.method, pair.other) for pair in found.pairs if pair.better} == {(method, "random") for method in OLD[1:]}
+    least = min(pair.holm for pair in found.pairs if "random" not in (pair.method, pair.other))
+    assert f"the smallest p is {least:.2f} after Holm's correction" in said
     paper = {
         milestone: {
-            method: np.mean([reported()["td3", "walker", task, method, milestone][0] for task in TASKS]) for method in (*METHODS, "proto")
+            method: np.mean([reported()["td3", "walker", task, method, milestone][0] for task in TASKS])
+            for method in (*OLD, "cudc", "proto")
         }
         for milestone in (100_000, 500_000)
     }
@@ -97,27 +99,43 @@ def test_the_sentences_are_those_of_the_records(report: Report, section: str) ->
     assert f"by {early['aps']:.1f} (APS) to {early['icm']:.0f} points (ICM) after 100,000 gradient steps" in said
     assert f"and by {late['proto']:.0f} (ProtoRL) to {late['icm']:.0f} (ICM) after 500,000" in said
     assert min(early.values()) == early["cudc"] == 0
-    assert overall.headline.unit == BETWEEN
     assert "on returns between floor and ceiling, with Student's 95 % intervals over datasets" in said
-    five, eight, twelve = (f"{design.lead * found.points:.0f}" for design in overall.power.designs if design.lead)
+    five, eight, twelve = (f"{design.lead * found.points:.0f}" for design in old.power.designs if design.lead)
     assert f"a lead of {five} points a task is found in 8 of 10 cases, with 8 seeds one of {eight}, with 12 one of {twelve}." in said
+
+
+def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its tables, the means of returns, and when k grew."""
+    path = ROOT / "studies" / "cudc_state_target.py"
+    spec = importlib.util.spec_from_file_location("cudc_state_target", path)
+    assert spec is not None
+    assert spec.loader is not None
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    study.main(["--from-csv", str(ROOT / "results")])
+    printed = capsys.readouterr().out.splitlines()
+    came_out = (ROOT / "studies" / "cudc-state-target.md").read_text().split("## What came out")[1]
+    assert [line for line in came_out.splitlines() if line.startswith("|")] == [line for line in printed if line.startswith("|")]
+    with study.TABLE.open() as file:
+        rows = [row for row in csv.DictReader(file) if row["method"] == "cudc-stopgrad"]
+    shares = {k: listed(f"{100 * float(row[f'k{k}']):.0f}" for row in rows) for k in (4, 5, 6)}
+    said = " ".join(section.split())
+    assert f"k grew to 4 after {shares[4]} % of the five collections, to 5 after {shares[5]} % and to 6 after {shares[6]} %" in said
 
 
 def test_how_far_from_convergence_the_trainings_are(section: str) -> None:
     gains: dict[tuple[str, int], list[float]] = defaultdict(list)
-    for path in BLOCK.rglob("td3-seed*.json"):
+    for path in BLOCK.rglob("td3-seed?.json"):
         record = read_record(path)
         at = {one.step: one.mean for one in record.curve}
         late, early = (np.mean([at[step] for step in steps]) for steps in ((40_000, 45_000, 50_000), (20_000, 25_000, 30_000)))
-        if record.dataset.method != "random":
+        if record.dataset.method not in {"random", "cudc-momentum"}:
             gains[record.dataset.method, record.dataset.seed].append(late - early)
     rise = np.array([np.mean(of) for of in gains.values()])
     assert len(rise) == 20
     said = " ".join(section.split())
-    assert (
-        f"rises by {rise.mean():.0f} points a task (standard error {rise.std(ddof=1) / np.sqrt(len(rise)):.0f}, over the 20 datasets"
-        in said
-    )
+    error = rise.std(ddof=1) / np.sqrt(len(rise))
+    assert f"rises by {rise.mean():.0f} points a task (standard error {error:.0f}, over the 20 datasets" in said
     hyper = record.hyperparameters
     seen = hyper["gradient_steps"] * hyper["batch_size"] / record.dataset.steps
     assert (
@@ -131,12 +149,16 @@ def listed(numbers: Iterable[str]) -> str:
 
 
 def standings(comparison: Comparison) -> list[str]:
-    lines = ["| | mean | IQM | better than random | CUDC better than it |", "|:---|---:|---:|---:|---:|"]
+    """Means and, where there is ``random``, the probability of being better than that."""
+    with_random = any(one.method == "random" for one in comparison.standings)
+    last = " better than random |" if with_random else ""
+    lines = [f"| | mean | IQM |{last}", f"|:---|---:|---:|{'---:|' * with_random}"]
     for one in comparison.standings:
-        scores = [f"{found.value:.3f} {_ends(found.interval)}" for found in (one.estimates["mean"], one.estimates["iqm"])]
-        pairs = [comparison.pair(*names) if len(set(names)) == 2 else None for names in ((one.method, "random"), ("cudc", one.method))]
-        chances = [f"{pair.probability:.2f} {_ends(pair.interval, 2)}{'*' * pair.better}" if pair else "–" for pair in pairs]
-        lines.append(f"| {' | '.join([one.method, *scores, *chances])} |")
+        cells = [one.method, *(f"{found.value:.3f} {_ends(found.interval)}" for found in (one.estimates["mean"], one.estimates["iqm"]))]
+        if with_random:
+            pair = None if one.method == "random" else comparison.pair(one.method, "random")
+            cells.append("–" if pair is None else f"{pair.probability:.2f} {_ends(pair.interval, 2)}{'*' * pair.better}")
+        lines.append(f"| {' | '.join(cells)} |")
     return lines
 
 
