@@ -171,8 +171,9 @@ def features_of(batch: Batch) -> Features:
 class CUDC(MovingHorizon):
     """Rewards state-action entropy and surprise in a learned space, and looks further ahead once the future is reachable.
 
-    Departs from the paper's printed equations in the discount, which is γ^k as in the code base that it extends (``td_discount``),
-    and in averaging, not summing, the contrastive loss over the minibatch.
+    Departs from the paper's printed equations in the targets of L_fwd and L_bwd, which have no gradient (``state_target``,
+    ``action_target``), in the discount, which is γ^k as in the code base that it extends (``td_discount``), and in averaging, not summing,
+    the contrastive loss over the minibatch.
     """
 
     config_class: ClassVar[type] = CUDCConfig

@@ -1,11 +1,12 @@
 """What is said of the project's own results is what its records say."""
 
 import csv
-import importlib.util
+import importlib
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,23 +105,39 @@ def test_the_sentences_are_those_of_the_records(report: Report, section: str) ->
     assert f"a lead of {five} points a task is found in 8 of 10 cases, with 8 seeds one of {eight}, with 12 one of {twelve}." in said
 
 
-def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., list[str]]:
+    """The lines that a script of ``studies/`` prints."""
+    monkeypatch.syspath_prepend(ROOT / "studies")
+
+    def run(script: str, argument: Any) -> list[str]:
+        importlib.import_module(script).main(argument)
+        return capsys.readouterr().out.splitlines()
+
+    return run
+
+
+def tables(lines: Iterable[str]) -> list[str]:
+    return [line for line in lines if line.startswith("|")]
+
+
+def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, printed: Callable[..., list[str]]) -> None:
     """Its tables, the means of returns, and when k grew."""
-    path = ROOT / "studies" / "cudc_state_target.py"
-    spec = importlib.util.spec_from_file_location("cudc_state_target", path)
-    assert spec is not None
-    assert spec.loader is not None
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
-    study.main(["--from-csv", str(ROOT / "results")])
-    printed = capsys.readouterr().out.splitlines()
+    found = printed("cudc_state_target", ["--from-csv", str(ROOT / "results")])
     came_out = (ROOT / "studies" / "cudc-state-target.md").read_text().split("## What came out")[1]
-    assert [line for line in came_out.splitlines() if line.startswith("|")] == [line for line in printed if line.startswith("|")]
-    with study.TABLE.open() as file:
+    assert tables(came_out.splitlines()) == tables(found)
+    assert found[-1].startswith("ahead by (c): none, so that the order decides: cudc-stopgrad")
+    with (ROOT / "studies" / "cudc-state-target.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["method"] == "cudc-stopgrad"]
     shares = {k: listed(f"{100 * float(row[f'k{k}']):.0f}" for row in rows) for k in (4, 5, 6)}
     said = " ".join(section.split())
     assert f"k grew to 4 after {shares[4]} % of the five collections, to 5 after {shares[5]} % and to 6 after {shares[6]} %" in said
+
+
+def test_what_three_evaluations_gain_is_what_the_records_say(printed: Callable[..., list[str]]) -> None:
+    (line,) = printed("final_score", ROOT / "results")
+    said = " ".join((ROOT / "docs" / "reference" / "profiles.md").read_text().split())
+    assert f"changes by {line.partition('between datasets ')[2].replace('-', '−').replace('%', ' %')}" in said
 
 
 def test_how_far_from_convergence_the_trainings_are(section: str) -> None:
