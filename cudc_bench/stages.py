@@ -45,7 +45,7 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
     """The default ids of a method's datasets, whether they exist or not.
 
     Raises:
-        UsageError: wrong input, or a dataset exists that was collected at another profile.
+        UsageError: wrong input, or a dataset exists that was collected at another profile, or with values that its method has not any more.
     """
     check_domain(domain)
     name = resolve_profile(profile).name
@@ -55,8 +55,22 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
         plugins.check_name("collectors", method)
     for one in ids:
         if exists(one):
-            check_profile(read_manifest(one), str(one), name)
+            manifest = read_manifest(one)
+            check_profile(manifest, str(one), name)
+            if manifest.imported is None:
+                _check_unchanged(manifest, str(one))
     return ids
+
+
+def _check_unchanged(manifest: Manifest, dataset_id: str) -> None:
+    # Defaults change from version to version, and a record names the method, not all of its values.
+    changed = plugins.load("stages", "changed_since")(manifest)
+    if changed:
+        values = ", ".join(f"{name}={then}, which is {now} now" for name, (then, now) in changed.items())
+        raise UsageError(
+            f"'{dataset_id}' was collected with other settings than {manifest.method} has by now ({values}); collect it again with"
+            " --overwrite, or take it as it is by naming its id."
+        )
 
 
 def ensure_collected(
@@ -65,7 +79,7 @@ def ensure_collected(
     """The default ids of a method's datasets, collected where they are missing.
 
     Raises:
-        UsageError: wrong input, or a dataset exists that was collected at another profile.
+        UsageError: as :func:`check_collected`.
     """
     ids = check_collected(method, domain, seeds, profile=profile)
     for one in ids:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.manifest import Pilot
+from cudc_bench.artefacts.manifest import Manifest, Pilot
 from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError
 from cudc_bench.execution.progress import echo
-from cudc_bench.settings.config import as_dict, build, changed, check_settings
-from cudc_bench.settings.profiles import Profile
+from cudc_bench.settings.config import as_dict, build, changed, check_settings, config_hash
+from cudc_bench.settings.profiles import Profile, resolve_profile
 
 from ..base import Sizes
 from .loop import CollectConfig
@@ -101,6 +101,27 @@ def resolve(method: str, domain: str, profile: Profile, settings: Mapping[str, A
     if longest > length:
         raise UsageError(f"a horizon of {longest} steps does not fit into episodes of {length}.")
     return setting
+
+
+def changed_since(manifest: Manifest) -> dict[str, tuple[Any, Any]]:
+    """What its method, with the same profile and overrides, has other values for by now than when a dataset was collected.
+
+    Args:
+        manifest: the dataset's.
+
+    Returns:
+        For each such hyperparameter the dataset's value and today's; None stands for one that is not written down. Empty, too, where
+        today's cannot be known: the method is not installed, refuses these overrides, or waits for its pilot.
+    """
+    try:
+        setting = resolve(manifest.method, manifest.domain, resolve_profile(manifest.profile), manifest.overrides)
+    except UsageError:
+        return {}
+    then, now = manifest.hyperparameters, setting.values
+    if config_hash(now) == manifest.hyperparameters_hash:
+        return {}
+    pairs = {name: (then.get(name), now.get(name)) for name in then | now}
+    return {name: pair for name, pair in pairs.items() if config_hash({name: pair[0]}) != config_hash({name: pair[1]})}
 
 
 def echo_whose_values(setting: RunSpec) -> None:
