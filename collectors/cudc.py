@@ -48,7 +48,7 @@ class CUDCConfig(DDPGConfig):
         w_init: start of W, uniform [0, 1) as CURL, or a scaled identity, which learns faster.
         loss_weights: of L_fwd, L_bwd, L_k and L_reach.
         state_target: what L_fwd predicts: z' without its gradient; with it, as the paper prints it and URLB's APT does (the forward model
-            then ends hardly better than "nothing changes": studies/cudc-state-target.md); or the momentum encoder's.
+            then ends no better than "nothing changes": studies/cudc-state-target.md); or the momentum encoder's.
         action_target: what L_bwd predicts. With the gradient, φ_a collapses to a constant.
         knn_exclude_self: leave a point out of its own neighbours (URLB counts it).
         reward_after_update: compute w and r from the updated networks, as URLB's baselines do (Algorithm 1 computes them before).

@@ -34,6 +34,7 @@ class VaryICM(CUDC):
 
     family = "towards CUDC"
     values: ClassVar[Values] = {
+        # Without an encoder the forward model's target has nothing to give a gradient to; a threshold is kept for it by this value.
         "encoder": "none", "action_encoder": False, "inverse": "actions", "reach": False, "regularize": False, "entropy": False,
         "state_target": "live", "prediction_error": "log", "beta": 0.0, "reward_after_update": True, "k_rule": "reward",
     }  # fmt: skip
@@ -55,7 +56,8 @@ class VaryAPT(CUDC):
 class Reward(CUDC):
     """CUDC_reward: CUDC_vary^APT with CUDC's reward, and the action encoder that its entropy needs.
 
-    The inverse model still predicts raw actions. The reward comes before the update, as in the paper's Algorithm 1.
+    The inverse model still predicts raw actions, and the forward model's target still has its gradient, as APT's; from CUDC_reach on it has
+    none. The reward comes before the update, as in the paper's Algorithm 1.
     """
 
     family = "towards CUDC"

@@ -49,7 +49,7 @@ def listening(listener: Listener) -> Iterator[None]:
         _listener = before
 
 
-def _telling(advances: list[Advance], total: int) -> list[Advance]:
+def _notifying(advances: list[Advance], total: int) -> list[Advance]:
     if _listener is None:
         return advances
     listener, done = _listener, 0
@@ -78,7 +78,7 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
         For each task, a function that is told by how much it advanced.
     """
     if not console().is_terminal:
-        yield _telling([_Lines(description, total, unit).advance for description, total in tasks], sum(total for _, total in tasks))
+        yield _notifying([_Lines(description, total, unit).advance for description, total in tasks], sum(total for _, total in tasks))
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

@@ -25,7 +25,7 @@ from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.seeding import episode_seed
 
-_TELL_EVERY = 200  # steps
+_NOTIFY_EVERY = 200  # steps
 
 
 class Pace(Protocol):
@@ -181,7 +181,7 @@ class Interaction(ABC):
         try:
             while True:
                 done = self.steps == total
-                if self.steps - told >= _TELL_EVERY or done:
+                if self.steps - told >= _NOTIFY_EVERY or done:
                     advance(self.steps - told)
                     told = self.steps
                 if interrupts.requested():

@@ -25,7 +25,7 @@ from cudc_bench.text import visible
 from .jobs import Job
 from .work import Common, do
 
-_TELL_EVERY = 0.25  # seconds between two reports of progress
+_NOTIFY_EVERY = 0.25  # seconds between two reports of progress
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -103,7 +103,7 @@ def _attempt(common: Common, given: Given, send: workers.Notify) -> Outcome:
 
     def notify(done: int, total: int) -> None:
         nonlocal last
-        if time.monotonic() - last >= _TELL_EVERY:
+        if time.monotonic() - last >= _NOTIFY_EVERY:
             last = time.monotonic()
             send(Progress(done, total))
 

@@ -28,7 +28,7 @@ from cudc_bench.settings.seeding import episode_seed
 from ..base import Evaluator
 
 FINAL = "final evaluation"  # the purpose of the seeds of the larger ones' episodes
-_TELL_EVERY = 100  # gradient steps
+_NOTIFY_EVERY = 100  # gradient steps
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def run_evaluation(
             metrics, _ = updates(measure)
             if measure:
                 ledger.add_metrics(step + 1, member_rows(metrics, step + 1))
-            if step + 1 - told >= _TELL_EVERY or step + 1 == config.gradient_steps:
+            if step + 1 - told >= _NOTIFY_EVERY or step + 1 == config.gradient_steps:
                 advance(step + 1 - told)
                 told = step + 1
     except interrupts.Interrupted:

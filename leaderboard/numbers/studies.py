@@ -26,7 +26,7 @@ from .published import CITATION, MEAN, beside, caption, reported_relative, scale
 from .scale import LABELS, references_caption
 from .sizes import build_sizes
 from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
-from .study_specs import PLANS, StudySpec
+from .study_specs import SPECS, StudySpec
 from .table import ENOUGH_SEEDS, Block, Runs, build_cell, mark_best
 from .words import ordered, short
 
@@ -49,28 +49,28 @@ def build_studies(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[S
         overall: as ``build_overall`` makes them of the same records.
 
     Returns:
-        By domain, algorithm and group in the order of :data:`~.plans.PLANS`; then those of dataset sizes, of learners, and of variance
-        between datasets and between trainings.
+        By domain, algorithm and group in the order of :data:`~.study_specs.SPECS`; then those of dataset sizes, of learners, and of
+        variance between datasets and between trainings.
     """
-    found = [study for block in blocks for plan in PLANS if (study := _of_plan(block, plan)) is not None]
+    found = [study for block in blocks for spec in SPECS if (study := _of_spec(block, spec)) is not None]
     return [*found, *build_sizes(blocks), *build_learners(blocks, overall), *build_components(blocks)]
 
 
-def _of_plan(block: Block, plan: StudySpec) -> Study | None:
-    theirs = {canonical(label): label for label in plan.methods}
+def _of_spec(block: Block, spec: StudySpec) -> Study | None:
+    theirs = {canonical(label): label for label in spec.methods}
     chosen = {(theirs[method], task): found for (method, task), found in block.records.items() if method in theirs}
     records = tuple(one for found in chosen.values() for one in found)
-    if not any(one.dataset.method in plan.own for one in records):
+    if not any(one.dataset.method in spec.own for one in records):
         return None
-    runs = _runs(block, plan, chosen)
+    runs = _runs(block, spec, chosen)
     returns = _returns(runs)
     tables = [returns, *scored_grid(returns, runs.tasks, runs.references)]
-    if plan.relative and (relative := _relative(runs)):
+    if spec.relative and (relative := _relative(runs)):
         tables = [relative, *tables, *_beside_relative(runs, relative)]
-    tables += _beside(runs, plan)
+    tables += _beside(runs, spec)
     figures: dict[str, Figure] = {"bars": Bars(runs), "curves": Curves(runs)}
-    if plan.bounds:
-        figures["bound"] = Bounds(runs, dict(zip(plan.methods, plan.bounds, strict=True)))
+    if spec.bounds:
+        figures["bound"] = Bounds(runs, dict(zip(spec.methods, spec.bounds, strict=True)))
     preliminary = any(cell.n < ENOUGH_SEEDS for cell in runs.cells.values())
     notes = [
         note
@@ -78,10 +78,10 @@ def _of_plan(block: Block, plan: StudySpec) -> Study | None:
         for note in alias_notes(label, [one for (method, _), found in chosen.items() if method == label for one in found])
     ]
     return Study(
-        name=plan.name,
+        name=spec.name,
         folder=block.slug,
-        title=plan.title,
-        caption=f"{plan.about} {runs.algorithm} on {runs.domain}. Profile: {runs.group}."
+        title=spec.title,
+        caption=f"{spec.about} {runs.algorithm} on {runs.domain}. Profile: {runs.group}."
         + (" Preliminary: fewer than five seeds." if preliminary else ""),
         group=runs.group,
         algorithm=block.algorithm,
@@ -90,12 +90,12 @@ def _of_plan(block: Block, plan: StudySpec) -> Study | None:
         figures=figures,
         notes=tuple(notes),
         records=records,
-        wanted=_wanted(block, plan, runs),
+        wanted=_wanted(block, spec, runs),
     )
 
 
-def _runs(block: Block, plan: StudySpec, chosen: dict[tuple[str, str], Sequence[Record]]) -> Runs:
-    methods = tuple(label for label in plan.methods if any(method == label for method, _ in chosen))
+def _runs(block: Block, spec: StudySpec, chosen: dict[tuple[str, str], Sequence[Record]]) -> Runs:
+    methods = tuple(label for label in spec.methods if any(method == label for method, _ in chosen))
     tasks = ordered({task for _, task in chosen}, block.tasks)
     cells: dict[tuple[int, str, str], Entry] = {}
     for milestone in block.milestones:
@@ -187,7 +187,7 @@ def _ends_relative(runs: Runs, milestone: int, columns: Sequence[Sequence[str]])
     return lines
 
 
-def _beside(runs: Runs, plan: StudySpec) -> list[Grid]:
+def _beside(runs: Runs, spec: StudySpec) -> list[Grid]:
     """The paper's returns beside ours, if it has those of a method that is the study's own."""
     parts, own = [], False
     for milestone in runs.milestones:
@@ -196,7 +196,7 @@ def _beside(runs: Runs, plan: StudySpec) -> list[Grid]:
             for method in runs.methods:
                 found = beside(runs.algorithm, runs.domain, milestone, task, method, runs.cells.get((milestone, task, method)))
                 if found:
-                    own |= method in plan.own
+                    own |= method in spec.own
                     ours, *others = found.entries
                     lines.append(Line(found.labels, (with_records(ours, runs.records[method, task]), *others)))
         if lines:
@@ -225,11 +225,11 @@ def _beside_relative(runs: Runs, relative: Grid) -> list[Grid]:
     return [Grid("paper", "Beside the paper", text, "milestone", ("task", "method"), columns, tuple(parts), long=True)]
 
 
-def _wanted(block: Block, plan: StudySpec, runs: Runs) -> tuple[Wanted, ...]:
-    """Every method of the plan on all tasks, with the collector seeds that its own methods have."""
+def _wanted(block: Block, spec: StudySpec, runs: Runs) -> tuple[Wanted, ...]:
+    """Every method of the spec on all tasks, with the collector seeds that its own methods have."""
     own = [
         one
-        for method in plan.own
+        for method in spec.own
         for task in runs.tasks
         for one in runs.records.get((method, task), ())
         if canonical(method) not in BASELINES or one.dataset.method == method
@@ -239,7 +239,7 @@ def _wanted(block: Block, plan: StudySpec, runs: Runs) -> tuple[Wanted, ...]:
     tasks = runs.tasks if own[0].dataset.reward is not None else ordered({*known_tasks(block.domain), *runs.tasks}, block.tasks)
     return tuple(
         Wanted(
-            study=plan.name,
+            study=spec.name,
             group=block.group,
             algorithm=block.algorithm,
             domain=block.domain,
@@ -250,5 +250,5 @@ def _wanted(block: Block, plan: StudySpec, runs: Runs) -> tuple[Wanted, ...]:
             have=frozenset((task, one.dataset.seed) for task in runs.tasks for one in runs.records.get((method, task), ())),
             like=own[0],
         )
-        for method in plan.methods
+        for method in spec.methods
     )

@@ -75,5 +75,5 @@ READINGS = StudySpec(
     "Three readings of the target of the paper's forward loss: z' with its gradient, without it, or a slow copy's.",
     ("cudc-live", "cudc-stopgrad", "cudc-momentum"),
 )
-PLANS = (VARIANTS, SCHEDULE, ABLATION, K_BOUND, CONTROLS, READINGS)
-STUDY_METHODS = frozenset(method for plan in PLANS for method in plan.own)
+SPECS = (VARIANTS, SCHEDULE, ABLATION, K_BOUND, CONTROLS, READINGS)
+STUDY_METHODS = frozenset(method for spec in SPECS for method in spec.own)

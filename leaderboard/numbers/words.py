@@ -26,20 +26,20 @@ def ordered(names: set[str], first: Sequence[str]) -> tuple[str, ...]:
 def slug(group: str, algorithm: str, domain: str) -> str:
     """A safe and unique name for the files of a group on a domain; ``algorithm`` is a name without a dot."""
     # Neither group nor algorithm has a dot, so different triples cannot give one slug.
-    return f"{group_slug(group, algorithm)}.{_word(domain_slug(domain), _DOMAIN)}"
+    return f"{group_slug(group, algorithm)}.{_slug(domain_slug(domain), _DOMAIN)}"
 
 
 def group_slug(group: str, algorithm: str) -> str:
     """The same for the files of all of its domains; its one dot keeps it apart from any single domain's, whatever that is called."""
-    return f"{_word(group, _NAME)}.{algorithm}"
+    return f"{_slug(group, _NAME)}.{algorithm}"
 
 
 def file_slug(text: str) -> str:
     """A safe and unique part of file names, without a dot, for any text; a name of letters, digits, ``_`` and ``-`` is its own."""
-    return _word(text, _NAME)
+    return _slug(text, _NAME)
 
 
-def _word(text: str, allowed: re.Pattern[str]) -> str:
+def _slug(text: str, allowed: re.Pattern[str]) -> str:
     if allowed.fullmatch(text):
         return text
     # Different texts may look alike once their punctuation is gone; the digest keeps them apart.

@@ -83,6 +83,19 @@ def test_the_sentences_are_those_of_the_records(report: Report, section: str) ->
     ends = {method: f"from {of.min():.0f} to {of.max():.0f}" for method, of in means.items()}
     assert f"The means of the five seeds range {ends['cudc']} points a task" in said
     assert f"ICM's five range {ends['icm']}, of APT's {ends['apt']}, of APS's {ends['aps']}" in said
+    runs = [record for path in BLOCK.rglob("td3-seed?.json") if (record := read_record(path)).dataset.method in NEW]
+    last = np.mean([record.final.mean for record in runs if record.dataset.method == "cudc-stopgrad"])
+    of_three, aps, apt, icm = (f"{means[method].mean():.0f}" for method in ("cudc", "aps", "apt", "icm"))
+    assert f"CUDC's mean is {last:.0f} points a task (it is {of_three} as the mean of three)" in said
+    assert f"where APS, APT and ICM have {aps}, {apt} and {icm}" in said
+    readings = np.array(
+        [
+            [np.mean([one.score(50_000) for one in runs if (one.dataset.method, one.seed) == (method, seed)]) for seed in range(1, 6)]
+            for method in NEW
+        ]
+    )
+    difference, error = abs(np.subtract(*readings.mean(1))), np.sqrt(readings.var(1, ddof=1).sum() / 5)
+    assert f"show no difference: {difference:.1f} points a task, standard error {error:.0f}." in said
     explorers = [means[method].mean() for method in OLD[1:]]
     assert f"the three methods' own from {min(explorers):.0f} to {max(explorers):.0f}" in said
     found = old.headline
@@ -127,6 +140,8 @@ def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, 
     came_out = (ROOT / "studies" / "cudc-state-target.md").read_text().split("## What came out")[1]
     assert tables(came_out.splitlines()) == tables(found)
     assert found[-1].startswith("ahead by (c): none, so that the order decides: cudc-stopgrad")
+    assert found[-2] == "cudc-stopgrad - cudc-momentum: -0.2 points, p = 1.000, after Holm 1.000"
+    assert "a difference of 0.2 points, p = 1.0 (exact, over the 252 ways" in " ".join(came_out.split())
     with (ROOT / "studies" / "cudc-state-target.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["method"] == "cudc-stopgrad"]
     shares = {k: listed(f"{100 * float(row[f'k{k}']):.0f}" for row in rows) for k in (4, 5, 6)}
@@ -137,7 +152,9 @@ def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, 
 def test_what_three_evaluations_gain_is_what_the_records_say(printed: Callable[..., list[str]]) -> None:
     (line,) = printed("final_score", ROOT / "results")
     said = " ".join((ROOT / "docs" / "reference" / "profiles.md").read_text().split())
-    assert f"changes by {line.partition('between datasets ')[2].replace('-', '−').replace('%', ' %')}" in said
+    _, found, numbers = line.partition("between datasets ")
+    assert found
+    assert f"last evaluation alone {numbers.replace('-', '−').replace('%', ' %')}" in said
 
 
 def test_how_far_from_convergence_the_trainings_are(section: str) -> None:

@@ -166,8 +166,8 @@ def test_many_functions_give_their_results_in_order() -> None:
     assert computed([lambda number=number: number**2 for number in range(40)], "squaring", "numbers") == [n**2 for n in range(40)]  # type: ignore[misc]
 
 
-# In a process of its own: with other threads nothing would be forked. What comes after the third function waits until it is known at home
-# how that one ended, by the request to leave that follows or by what home says of it.
+# In a process of its own: with other threads nothing would be forked. What comes after function 3 waits until home knows how that one
+# ended: by the request to leave that follows, or by what home says of it.
 FORKED = """
 import os, signal, sys, time
 from cudc_bench.errors import RunError

@@ -111,7 +111,7 @@ def _legend(shown: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def _shared(lines: Mapping[str, Series], shown: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The looks with which lines that coincide can all be seen."""
+    """The styles with which lines that coincide can all be seen."""
     same: dict[str, list[str]] = defaultdict(list)
     for method, (steps, means, _) in lines.items():
         same[repr((steps, means))].append(method)

@@ -29,7 +29,7 @@ from cudc_bench.leaderboard.numbers.published import reported, reported_relative
 from cudc_bench.leaderboard.numbers.sizes import area_weights
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.study import SCORE, Study
-from cudc_bench.leaderboard.numbers.study_specs import ABLATION, K_BOUND, PLANS, STUDY_METHODS, VARIANTS
+from cudc_bench.leaderboard.numbers.study_specs import ABLATION, K_BOUND, SPECS, STUDY_METHODS, VARIANTS
 from cudc_bench.leaderboard.numbers.table import build_blocks, build_tables, tables_of
 from cudc_bench.leaderboard.show.csv import of_grid as to_csv
 from cudc_bench.leaderboard.show.figures.draw import draw
@@ -99,7 +99,7 @@ def test_the_studies_methods_are_those_of_the_collectors_variants() -> None:
     for first, second in itertools.combinations(points, 2):
         assert (canonical(first) == canonical(second)) == (points[first] == points[second])
     assert ALIASES.keys() <= points.keys()
-    assert {method for plan in PLANS for method in plan.methods} <= points.keys()
+    assert {method for spec in SPECS for method in spec.methods} <= points.keys()
 
 
 def test_the_papers_own_studies_have_all_methods_that_it_reports() -> None:
@@ -635,10 +635,10 @@ def test_no_labels_of_bars_overlap(count: int, width: str, runs: Callable) -> No
 
 
 def test_methods_of_a_study_can_be_told_apart_and_legends_never_merge_them() -> None:
-    for plan in PLANS:
-        shown = styles(plan.methods)
-        assert len({(style["color"], style["linestyle"]) for style in shown.values()}) == len(plan.methods)
-        assert len({(area["facecolor"], area["hatch"]) for area in map(filled, shown.values())}) == len(plan.methods)
+    for spec in SPECS:
+        shown = styles(spec.methods)
+        assert len({(style["color"], style["linestyle"]) for style in shown.values()}) == len(spec.methods)
+        assert len({(area["facecolor"], area["hatch"]) for area in map(filled, shown.values())}) == len(spec.methods)
     alike = [f"{'a' * 60}{i}" for i in range(3)]
     names = legend(styles(alike))
     assert len(names) == 3
