@@ -43,7 +43,7 @@ class VaryICM(CUDC):
 class VaryAPT(CUDC):
     """CUDC_vary^APT: APT with its own reward, but k grows, the forward model is told k, and another network infers it.
 
-    Like APT, it computes the reward from the updated networks.
+    Like APT, it computes the reward from the updated networks, and its forward model's target has its gradient.
     """
 
     family = "towards CUDC"
@@ -56,13 +56,14 @@ class VaryAPT(CUDC):
 class Reward(CUDC):
     """CUDC_reward: CUDC_vary^APT with CUDC's reward, and the action encoder that its entropy needs.
 
-    The inverse model still predicts raw actions, and the forward model's target still has its gradient, as APT's; from CUDC_reach on it has
-    none. The reward comes before the update, as in the paper's Algorithm 1.
+    The inverse model still predicts raw actions. The forward model's target has no gradient, as CUDC's and unlike APT's: with it the
+    entropy would be that of a representation of few dimensions (studies/cudc-representations.md). The reward comes before the update, as in
+    the paper's Algorithm 1.
     """
 
     family = "towards CUDC"
     values: ClassVar[Values] = {
-        "encoder": "apt", "inverse": "actions", "reach": False, "regularize": False, "state_target": "live", "k_rule": "reward",
+        "encoder": "apt", "inverse": "actions", "reach": False, "regularize": False, "k_rule": "reward",
     }  # fmt: skip
 
 

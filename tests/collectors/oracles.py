@@ -684,7 +684,6 @@ ORACLES: dict[str, Callable[..., Found]] = {
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True, state_target="live"),
     "cudc-vary-apt": partial(cudc, parts=RELATIVES["cudc-vary-apt"], beta=0.0, reward_after_update=True, state_target="live"),
     "cudc-one-setting": partial(cudc, parts=Parts(), alpha=1e-3, beta=1e-2, clip_low=0.2, clip_high=1.0, c_w=0.02),
-    "cudc-reward": partial(cudc, parts=RELATIVES["cudc-reward"], state_target="live"),
     "cudc-live": partial(cudc, parts=Parts(), state_target="live"),
     "cudc-momentum": partial(cudc, parts=Parts(), state_target="momentum"),
     "cudc-literal": partial(cudc, parts=Parts(), state_target="live", action_target="live"),

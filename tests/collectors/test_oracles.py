@@ -69,7 +69,7 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
     ],
     "cudc-vary-icm": [{"threshold_dwell": 0, "c_r": 1.9}, {"threshold_dwell": 4, "c_r": 2.0}, {"state_target": "momentum"}],
     "cudc-vary-apt": [{"threshold_dwell": 0, "c_r": 1.312}, {"threshold_dwell": 4, "c_r": 1.4}, {"state_target": "momentum"}],
-    "cudc-reward": [{"threshold_dwell": 0, "c_r": 1.405}, {"threshold_dwell": 2, "c_r": 1.42}, {"state_target": "stopgrad"}],
+    "cudc-reward": [{"threshold_dwell": 0, "c_r": 1.405}, {"threshold_dwell": 2, "c_r": 1.42}, {"state_target": "live"}],
     "cudc-no-reach": [
         {"threshold_dwell": 0, "c_e": 2.8},
         {"threshold_dwell": 2, "c_e": 2.9},

@@ -1072,10 +1072,6 @@ CUDC = [
         ('= {"state_target": "momentum"}', "= {}"),
     ),
     *mutants(
-        "collectors/variants.py", ("cudc-reward",),
-        ('"state_target": "live", "k_rule": "reward"', '"k_rule": "reward"'),
-    ),
-    *mutants(
         "collectors/variants.py", ("cudc-no-inverse",),
         ('{"inverse": "none", "step_model": False}', '{"inverse": "none"}', '{"step_model": False}'),
     ),
