@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import cudc_bench
+from cudc_bench import plugins
 from cudc_bench.artefacts.records import read_record
+from cudc_bench.collectors.cudc import CUDC
 from cudc_bench.leaderboard.api import Report, make_leaderboard
 from cudc_bench.leaderboard.numbers.overall import Comparison
 from cudc_bench.leaderboard.numbers.published import reported
@@ -147,6 +149,16 @@ def test_the_study_of_the_state_target_says_what_its_script_finds(section: str, 
     shares = {k: listed(f"{100 * float(row[f'k{k}']):.0f}" for row in rows) for k in (4, 5, 6)}
     said = " ".join(section.split())
     assert f"k grew to 4 after {shares[4]} % of the five collections, to 5 after {shares[5]} % and to 6 after {shares[6]} %" in said
+
+
+def test_the_study_of_representations_says_what_its_script_finds(printed: Callable[..., list[str]]) -> None:
+    came_out = (ROOT / "studies" / "cudc-representations.md").read_text().split("## What came out")[1]
+    found = tables(printed("cudc_representations", ["--from-csv"]))
+    assert tables(came_out.splitlines()) == found
+    suspect = {line.split("`")[1] for line in found if line.endswith("| suspect |")}
+    assert suspect == {"cudc-live", "cudc-literal", "cudc-vary-apt"}
+    related = {plugins.load("collectors", name) for name in plugins.names("collectors")}
+    assert len(found) - 2 == len({kind for kind in related if issubclass(kind, CUDC) and kind.__module__.startswith("cudc_bench.")})
 
 
 def test_what_three_evaluations_gain_is_what_the_records_say(printed: Callable[..., list[str]]) -> None:
