@@ -161,6 +161,25 @@ def test_the_study_of_representations_says_what_its_script_finds(printed: Callab
     assert len(found) - 2 == len({kind for kind in related if issubclass(kind, CUDC) and kind.__module__.startswith("cudc_bench.")})
 
 
+def test_what_trainings_on_one_dataset_differ_by_is_what_their_records_say() -> None:
+    found = make_leaderboard(ROOT / "studies" / "training-seeds", output=None, algo="td3")
+    assert len(list((ROOT / "studies" / "training-seeds").rglob("td3-*.json"))) == 2 * 2 * 4 * 2
+    (study,) = [one for one in found.studies if one.name == "variance"]
+    components, shares = study.tables
+    pooled = {
+        (part.key, *line.labels): entry
+        for part, line, column, entry in [*components.entries(), *shares.entries()]
+        if column.name == "pooled" and entry is not None
+    }
+    said = " ".join((ROOT / "docs" / "explanation" / "statistics.md").read_text().split())
+    within = pooled[50_000, "mean over tasks", "within a dataset"]
+    ends = _ends(within.interval, 0)
+    assert f"is {within.value:.0f} points² {ends} between trainings on one dataset" in said
+    assert f"a standard deviation of {np.sqrt(within.value):.0f} points" in said
+    assert all(pooled[50_000, task, "between datasets"].value == 0 for task in ("mean over tasks", "stand", "walk", "flip"))
+    assert f"of run, {pooled[50_000, 'run'].value:.2f} of it is between datasets" in said
+
+
 def test_what_three_evaluations_gain_is_what_the_records_say(printed: Callable[..., list[str]]) -> None:
     (line,) = printed("final_score", ROOT / "results")
     said = " ".join((ROOT / "docs" / "reference" / "profiles.md").read_text().split())
