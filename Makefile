@@ -16,12 +16,11 @@ TESTERS ?= $(shell $(PYTHON) -c 'import os; print(1 + (len(os.sched_getaffinity(
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
 
-# Python compiles what is imported when it is imported; most of what is installed never is.
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "cudc-bench needs Python 3.11 or 3.12 (labmaze, which dm_control requires, has no newer wheel)"; exit 1; }
 	@echo "installing into $(VENV) (PyTorch, MuJoCo and the rest; a few minutes the first time)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
 setup: $(VENV)/.installed  ## Install everything into .venv.
@@ -71,7 +70,7 @@ mutants: setup  ## Change formulas in copies of the package, and say which chang
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants
 
 $(VENV)/.docs: $(VENV)/.installed
-	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev,docs]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,docs]'
 	@touch $@
 
 docs: $(VENV)/.docs  ## Build the documentation: build/docs/index.html. Warnings are errors; nothing is asked of the network.
