@@ -378,8 +378,8 @@ class CUDC(MovingHorizon):
             self.older_keys[:, rows] = keys
             self.keys_seen.add_(keys.shape[1])
         # Without the module there is no w; k has no room to grow then.
-        looks = config.k_rule in _SIGNALS and (config.k_rule != "weight" or config.reach)
-        batch.signal = getattr(f, _SIGNALS[config.k_rule]) if looks else None
+        compares = config.k_rule in _SIGNALS and (config.k_rule != "weight" or config.reach)
+        batch.signal = getattr(f, _SIGNALS[config.k_rule]) if compares else None
         p = self.move_horizon(batch.signal)
         return measured if p is None or not batch.measure else measured | {"p": p}
 

@@ -185,7 +185,7 @@ def test_what_three_evaluations_gain_is_what_the_records_say(printed: Callable[.
     said = " ".join((ROOT / "docs" / "reference" / "profiles.md").read_text().split())
     _, found, numbers = line.partition("between datasets ")
     assert found
-    assert f"last evaluation alone {numbers.replace('-', '−').replace('%', ' %')}" in said
+    assert f"last evaluation alone by {numbers.replace('-', '−').replace('%', ' %')}" in said
 
 
 def test_how_far_from_convergence_the_trainings_are(section: str) -> None:
