@@ -12,7 +12,8 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.learning.cuda_graphs import Updater, graphs_for
+from cudc_bench.learning.cuda_graphs import Updater
+from cudc_bench.learning.engines import graphs_for
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 

@@ -12,6 +12,7 @@ from cudc_bench.cli.options import (
     DatasetIdOption,
     DeviceOption,
     DomainOption,
+    EngineOption,
     FreshOption,
     LogDirOption,
     LogOption,
@@ -42,6 +43,7 @@ def collect(
     dataset_id: DatasetIdOption = None,
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     workers: WorkersOption = None,
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
@@ -70,8 +72,8 @@ def collect(
             for name in methods
             for one in run(
                 name, domain, parse_seeds(seeds), profile=profile, settings=given, dataset_id=dataset_id,
-                overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir, checkpoint_every=checkpoint_every,
-                fresh=fresh, check_only=check_only,
+                overwrite=overwrite, device=device, engine=engine, workers=workers, log=log, log_dir=log_dir,
+                checkpoint_every=checkpoint_every, fresh=fresh, check_only=check_only,
             )
         ]  # fmt: skip
     for one in ids:
@@ -87,6 +89,7 @@ def pilot(
     settings: SetOption = None,
     precision: PrecisionOption = None,
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     workers: WorkersOption = None,
     checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
     fresh: FreshOption = False,
@@ -101,8 +104,8 @@ def pilot(
     if names == ():
         raise UsageError("--method is empty; leave it out for all that need a threshold.")
     run(
-        names, domain, profile=profile, settings=with_precision(parse_settings(settings or []), precision), device=device, workers=workers,
-        checkpoint_every=checkpoint_every, fresh=fresh,
+        names, domain, profile=profile, settings=with_precision(parse_settings(settings or []), precision), device=device, engine=engine,
+        workers=workers, checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip
     print(thresholds_path())
 

@@ -160,5 +160,7 @@ def regression(values: Tensor, target: Tensor) -> Tensor:
 
 def normal_log_prob(mean: Tensor, action: Tensor, log_std: Tensor | float) -> Tensor:
     """log N(a; mean, std²) in each dimension of (…, A)."""
-    log_std = torch.as_tensor(log_std, device=mean.device)
+    if not isinstance(log_std, Tensor):
+        # Filled on the device: a number of the host would be copied there, and waited for.
+        log_std = torch.full((), log_std, device=mean.device)
     return -0.5 * ((action - mean) / log_std.exp()).square() - log_std - 0.5 * math.log(2 * math.pi)

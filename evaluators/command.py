@@ -11,6 +11,7 @@ from cudc_bench.cli.options import (
     CheckpointEveryOption,
     DeviceOption,
     DomainOption,
+    EngineOption,
     FreshOption,
     LogDirOption,
     LogOption,
@@ -55,6 +56,7 @@ def evaluate(
     output: OutputOption = "results",
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     workers: WorkersOption = None,
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
@@ -74,7 +76,7 @@ def evaluate(
         settings=given, training_seeds=None if training_seeds is None else parse_seeds(training_seeds, "--training-seeds"), steps=steps,
         dataset_id=None if dataset_id is None else parse_names(dataset_id),
         dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
-        device=device, workers=workers, log=log, log_dir=log_dir, policies=policy,
+        device=device, engine=engine, workers=workers, log=log, log_dir=log_dir, policies=policy,
         checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip
     for path in paths:
@@ -92,6 +94,7 @@ def reference(
     output: OutputOption = "results",
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     workers: WorkersOption = None,
     log: LogOption = None,
     log_dir: LogDirOption = LOG_DIR,
@@ -107,7 +110,7 @@ def reference(
 
     paths = make_references(
         domain, parse_tasks(tasks), parse_seeds(seeds), profile=profile, settings=with_precision(parse_settings(settings or []), precision),
-        output=output, overwrite=overwrite, device=device, workers=workers, log=log, log_dir=log_dir,
+        output=output, overwrite=overwrite, device=device, engine=engine, workers=workers, log=log, log_dir=log_dir,
         checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip
     for path in paths:

@@ -27,6 +27,7 @@ from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder
+from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.runs.existing import dataset_stands
@@ -50,6 +51,7 @@ def collect(
     dataset_id: str | None = None,
     overwrite: bool = False,
     device: str = "auto",
+    engine: str = "auto",
     workers: int | None = 1,
     log: str | None = None,
     log_dir: str | Path = LOG_DIR,
@@ -71,6 +73,7 @@ def collect(
         dataset_id: instead of the default id; for one seed only.
         overwrite: replace datasets that exist.
         device: ``cpu``, ``cuda`` or ``auto``.
+        engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
         log: also send the lines of diagnostics to ``"tensorboard"`` or ``"wandb"`` while they are measured.
         log_dir: the folder of these logs; a run's own is ``collect/<profile>/<dataset id>`` in it.
@@ -96,9 +99,11 @@ def collect(
     for member in members:
         check_free(member[1], overwrite or member not in left)
     check_folder(datasets_root(), "the dataset root")
-    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir)
+    execution = Execution.checked(
+        device, workers, checkpoint_every, engine=engine, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir
+    )
     check_precision(setting.kind, method, setting.loop.precision, execution.device)
-    work = Work.plan(execution, "collect", [members], left, partial(_Stack, setting, execution.device))
+    work = Work.plan(execution, "collect", [members], left, partial(_Stack, setting, execution))
     ids = [str(one) for _, one in members]
     if check_only:
         return ids
@@ -154,8 +159,12 @@ class _Stack:
     """Members in the order of their seeds, and where their checkpoints are: with the first one's unfinished dataset."""
 
     setting: RunSpec
-    device: str
+    execution: Execution
     members: list[tuple[int, DatasetId]]
+
+    @property
+    def engine(self) -> str:
+        return self.execution.engine_for(self.setting.kind, self.setting.updates)
 
     @property
     def seeds(self) -> list[int]:
@@ -173,7 +182,8 @@ class _Stack:
         setting = self.setting
         decisive = {
             "method": setting.method, "domain": setting.domain, "seeds": self.seeds, "profile": setting.profile,
-            "hyperparameters": setting.values, "device": self.device, **origin(plugins.package("collectors", setting.method)),
+            "hyperparameters": setting.values, "device": self.execution.device, "engine": self.engine,
+            **origin(plugins.package("collectors", setting.method)),
         }  # fmt: skip
         return Checkpoints(checkpoints_path(self.members[0][1]), decisive, every)
 
@@ -214,9 +224,11 @@ def collect_members(advance: Advance, *, stack: _Stack, execution: Execution) ->
             DatasetSink(folder, opened.enter_context(open_log(_target(setting, execution, *member))))
             for folder, member in zip(folders, members, strict=True)
         ]
-        collector = setting.kind(setting.sizes, setting.config, stack.seeds, stack.device)
+        collector = setting.kind(setting.sizes, setting.config, stack.seeds, execution.device)
+        set_engine(collector, stack.engine)
         checkpoints = stack.checkpoints(execution.checkpoint_every)
         run_collection(collector, setting.loop, facts, journals, advance, checkpoints)
+        packages, engine = plugins.package("collectors", setting.method), engine_of(collector) if setting.kind.learns else None
         summaries, state = collector.summary(), digest(collector.state_dict())
         # The checkpoints lie with the first member, so that it is the last to be published.
         for (seed, one), folder, journal, summary in reversed(list(zip(members, folders, journals, summaries, strict=True))):
@@ -240,7 +252,7 @@ def collect_members(advance: Advance, *, stack: _Stack, execution: Execution) ->
                 pilot=setting.pilot,
                 diagnostics=journal.last | summary,
                 command=_command(setting, seed, one),
-                **stamp(checkpoints.seconds, stack.device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+                **stamp(checkpoints.seconds, execution.device, torch.get_num_threads(), packages, engine),
             )
             write_metadata(dataset / "data", manifest, str(one), _description(facts, setting.method))
             journal.close()

@@ -28,6 +28,7 @@ from cudc_bench.execution.parallel import worker_count
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.files import check_file, remove_empty, unwritable
+from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.execution import Execution, Work
@@ -50,6 +51,7 @@ def pilot(
     profile: str = "auto",
     settings: Mapping[str, Any] | None = None,
     device: str = "auto",
+    engine: str = "auto",
     workers: int | None = 1,
     checkpoint_every: float = CHECKPOINT_EVERY,
     fresh: bool = False,
@@ -64,6 +66,7 @@ def pilot(
         profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``.
         settings: hyperparameters that differ from the profile, by name. A threshold holds for the same settings only.
         device: ``cpu``, ``cuda`` or ``auto``.
+        engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes; 1 works in this process, None takes one for each core on a CPU, and one for CUDA.
         checkpoint_every: seconds between two checkpoints at least; they come at the ends of episodes.
         fresh: start over where a run was interrupted.
@@ -74,7 +77,7 @@ def pilot(
         Interrupted: the process was asked to leave; what it had done is kept.
     """
     chosen = resolve_profile(profile)
-    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh)
+    execution = Execution.checked(device, workers, checkpoint_every, engine=engine, fresh=fresh)
     check_domain(domain)
     found = [resolve(name, domain, chosen, settings, piloting=True) for name in _wanting(methods, domain, chosen, settings)]
     for one in found:
@@ -86,7 +89,7 @@ def pilot(
     if execution.device == "cuda":
         # Not in one stack: each method is another class. So many at a time as somebody asks for.
         execution = replace(execution, workers=workers or 1)
-    stacks = [_Stack(path.parent / ".pilots", one, execution.device) for one in found]
+    stacks = [_Stack(path.parent / ".pilots", one, execution) for one in found]
     work = Work(execution, stacks, worker_count(execution.workers, len(found)))
     work.check("pilot")
     last = stacks[0].last
@@ -126,7 +129,11 @@ class _Stack:
 
     folder: Path
     setting: RunSpec
-    device: str
+    execution: Execution
+
+    @property
+    def engine(self) -> str:
+        return self.execution.engine_for(self.setting.kind, self.setting.updates)
 
     @property
     def first(self) -> int:
@@ -148,7 +155,8 @@ class _Stack:
         setting = self.setting
         decisive = {
             "method": setting.method, "domain": setting.domain, "seeds": [SEED], "steps": self.last, "profile": setting.profile,
-            "hyperparameters": setting.values, "device": self.device, **origin(plugins.package("collectors", setting.method)),
+            "hyperparameters": setting.values, "device": self.execution.device, "engine": self.engine,
+            **origin(plugins.package("collectors", setting.method)),
         }  # fmt: skip
         return Checkpoints(self.folder / f"{setting.method}-{domain_slug(setting.domain)}-{setting.profile}", decisive, every)
 
@@ -161,7 +169,7 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
 
     What it has done is kept until all are done.
     """
-    setting, device, first, last = stack.setting, stack.device, stack.first, stack.last
+    setting, device, first, last = stack.setting, execution.device, stack.first, stack.last
     kind, loop = setting.kind, replace(setting.loop, steps=last)
     name = kind.measured_by_pilot(setting.config)
     checkpoints = stack.checkpoints(execution.checkpoint_every)
@@ -171,6 +179,7 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
             checkpoints.remove()
         place.mkdir(parents=True, exist_ok=True)
         collector = kind(setting.sizes, setting.config, [SEED], device)
+        set_engine(collector, stack.engine)
         medians, journal = _Medians(), DatasetSink(place, nowhere)
         try:
             run_collection(collector, loop, check_domain(setting.domain), [journal], advance, checkpoints, medians)
@@ -200,7 +209,7 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
         command=command_line(
             "pilot", {"--method": setting.method, "--domain": setting.domain, "--profile": setting.profile}, setting.overrides
         ),
-        **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method)),
+        **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method), engine_of(collector)),
     )
 
 

@@ -51,6 +51,11 @@ class RunSpec:
         return as_dict(self.loop, self.config)
 
     @property
+    def updates(self) -> int:
+        """How many a whole run makes, at most."""
+        return max(0, self.loop.steps - self.loop.seed_steps) // self.loop.update_every
+
+    @property
     def sizes(self) -> Sizes:
         """The sizes that the method is built for."""
         facts = check_domain(self.domain)

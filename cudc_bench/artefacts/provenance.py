@@ -96,20 +96,23 @@ def is_own_command(text: str) -> bool:
     return words[:1] == ["cudc-bench"] and shlex.join(words) == text and text.isprintable()
 
 
-def stamp(seconds: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None) -> dict[str, Any]:
+def stamp(
+    seconds: float, device: str = "cpu", threads: int = 1, packages: Mapping[str, str] | None = None, engine: str | None = None
+) -> dict[str, Any]:
     """The fields of a manifest that say what it was made with, on what and when, apart from the command.
 
     Args:
         seconds: of work.
         device, threads: used for it.
         packages: versions of others that the result depends on, such as the package of a plug-in.
+        engine: how updates were carried out, where there were any.
     """
     head, dirty = commit()
     return {
         "versions": versions() | dict(packages or {}),
         "commit": head,
         "dirty": dirty,
-        "machine": machine(device, threads),
+        "machine": machine(device, threads, engine),
         "seconds": round(seconds, 1),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -124,12 +127,12 @@ def origin(packages: Mapping[str, str]) -> dict[str, Any]:
     return {"versions": versions() | dict(packages), "commit": commit()[0]}
 
 
-def machine(device: str, threads: int) -> dict[str, Any]:
-    """What a run ran on: system, processor, cores, device and threads used."""
+def machine(device: str, threads: int, engine: str | None = None) -> dict[str, Any]:
+    """What a run ran on: system, processor, cores, device and threads used, and the engine of updates where there were any."""
     return {
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
         "cores": os.cpu_count(),
         "device": device,
         "threads": threads,
-    }
+    } | ({} if engine is None else {"engine": engine})

@@ -25,6 +25,7 @@ PrecisionOption = Annotated[str | None, typer.Option("--precision", help="Of wid
 DatasetIdOption = Annotated[str | None, typer.Option("--dataset-id", help="Id of the dataset, instead of the default one.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace what exists.")]
 DeviceOption = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto.")]
+EngineOption = Annotated[str, typer.Option("--engine", help="How updates are carried out: eager, compiled, or auto.")]
 LogOption = Annotated[str | None, typer.Option("--log", help="Also log the run to tensorboard or wandb (extras of those names).")]
 LogDirOption = Annotated[str, typer.Option("--log-dir", help="Folder of these logs.")]
 WorkersOption = Annotated[int | None, typer.Option("--workers", help="Processes on a CPU; one for each core by default.")]

@@ -9,22 +9,39 @@ What measures itself runs step by step even then: it is one update in a thousand
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
 from torch import Tensor
+from torch.utils._pytree import tree_flatten
 
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.progress import echo
 from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.recording import leaves
 from cudc_bench.learning.replay import Batch
 
 WARM_UP = 3  # updates before a capture: optimisers make their state in the first, libraries choose their kernels
 T = TypeVar("T")
 
 
+class CannotCaptureError(Exception):
+    """An update cannot become a graph; the message says why."""
+
+
 class Graph(ABC):
-    """Operations that were recorded once and can be repeated on the same tensors."""
+    """Operations that were recorded once and can be repeated on the same tensors.
+
+    Class attributes:
+        warm_up: how many updates come before a capture, one by one.
+        falls_back: whether updates go on one by one where a capture fails; else its error is raised.
+    """
+
+    warm_up: ClassVar[int] = WARM_UP
+    falls_back: ClassVar[bool] = True
 
     @abstractmethod
     def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
@@ -66,27 +83,56 @@ class CudaGraph(Graph):
         return result
 
 
-def graphs_for(learner: object, device: torch.device) -> Callable[[], Graph] | None:
-    """What makes graphs for a learner; None where its updates are to run step by step: on a CPU, and for those that do not offer more."""
-    return CudaGraph if device.type == "cuda" and getattr(learner, "replayable", False) else None
-
-
 class _Captured(Generic[T]):
-    """One function, called, then captured, then replayed."""
+    """One function, called, then captured, then replayed.
 
-    def __init__(self, make: Callable[[], Graph], random: Iterable[MemberRandom]) -> None:
-        self._graph, self._random = make(), list(random)
+    Args:
+        make: makes its graph.
+        random: the streams that it draws from.
+        learner: whose state it changes, if it changes any.
+    """
+
+    def __init__(self, make: Callable[[], Graph], random: Iterable[MemberRandom], learner: Any = None) -> None:
+        self._graph, self._random, self._learner = make(), list(random), learner
         self._calls = 0
         self._result: T
 
     def __call__(self, function: Callable[[], T]) -> T:
         self._calls += 1
-        if self._calls <= WARM_UP:
+        if self._calls <= self._graph.warm_up:
             return self._graph.warm(function)
-        if self._calls == WARM_UP + 1:
-            self._result = self._graph.capture(function, self._random)
+        if self._calls == self._graph.warm_up + 1:
+            self._result = self._capture(function)
         self._graph.replay()
         return self._result
+
+    def _capture(self, function: Callable[[], T]) -> T:
+        if not self._graph.falls_back:
+            return self._graph.capture(function, self._random)
+        standing, common = _standing(self._learner), torch.get_rng_state()
+        before = None if self._learner is None else copy.deepcopy(self._learner.state_dict())
+        try:
+            result = self._graph.capture(function, self._random)
+        except interrupts.Interrupted:
+            raise
+        except Exception as error:  # of whatever kind: done one by one the update works, or says itself what is wrong
+            why: tuple[str, Exception | None] = (str(error).splitlines() or [type(error).__name__])[0], error
+        else:
+            if _standing(self._learner) == standing:
+                return result
+            why = "it changes something else than tensors in place, which a graph would not do again", None
+        if before is not None:
+            self._learner.load_state_dict(before)
+        torch.set_rng_state(common)
+        raise CannotCaptureError(why[0]) from why[1]
+
+
+def _standing(learner: Any) -> list[Any]:
+    """Where a learner's tensors are, and the numbers beside them."""
+    if learner is None:
+        return []
+    own = [*learner.parameters(), *learner.buffers(), *(one.state_dict() for one in learner.optimisers.values())]
+    return [*leaves(own), *(leaf for leaf in tree_flatten(learner.state_dict())[0] if not isinstance(leaf, Tensor))]
 
 
 class Updater:
@@ -97,7 +143,7 @@ class Updater:
             done, up to the rounding of other kernels.
         draw: a minibatch on the learner's device; told whether it is to be measured. It must keep to what ``learn`` keeps to.
         random: the stream that ``draw`` draws from.
-        make: makes graphs, see :func:`graphs_for`.
+        make: makes graphs, see :func:`.engines.graphs_for`; None for updates one by one, to which it falls back where a capture fails.
     """
 
     def __init__(self, learner: Any, draw: Callable[[bool], Batch], random: MemberRandom, make: Callable[[], Graph] | None) -> None:
@@ -109,17 +155,28 @@ class Updater:
         if self._make is None or measure:
             batch = self._draw(measure)
             return self._learner.update(batch), batch
-        plan = self._learner.prepare()
+        learner, plan = self._learner, self._learner.prepare()
         if plan not in self._captured:
-            self._captured[plan] = _Captured(self._make, [*self._learner.random.values(), self._random])
+            self._captured[plan] = _Captured(self._make, [*learner.random.values(), self._random], learner)
 
         def update() -> Batch:
             batch = self._draw(False)
-            with self._learner.products():
-                self._learner.learn(batch, plan)
+            with learner.products():
+                learner.learn(batch, plan)
+            batch.cache = {}
             return batch
 
-        return {}, self._captured[plan](update)
+        try:
+            return {}, self._captured[plan](update)
+        except CannotCaptureError as error:
+            echo(f"updates of {type(learner).__name__} go one by one, as {learner.engine} they cannot: {error}")
+            self.go_on_with("eager")
+            return {}, update()
+
+    def go_on_with(self, engine: str) -> None:
+        """Take updates up as a run did that is continued: one by one if it could not do otherwise."""
+        if engine == "eager" and self._make is not None:
+            self._learner.engine, self._make = engine, None
 
 
 class ActionRunner:
@@ -129,7 +186,7 @@ class ActionRunner:
         act: (E, S) -> (E, A) on the device.
         random: the streams that it draws from.
         device: where.
-        make: makes graphs, see :func:`graphs_for`.
+        make: makes graphs, see :func:`.engines.graphs_for`.
     """
 
     def __init__(
@@ -147,4 +204,9 @@ class ActionRunner:
             self._seen = torch.empty_like(observation, device=self._device)
         seen = self._seen
         seen.copy_(observation)
-        return self._captured(lambda: self._act(seen)).cpu()
+        try:
+            return self._captured(lambda: self._act(seen)).cpu()
+        except CannotCaptureError as error:
+            echo(f"actions are computed step by step, as a graph they cannot be: {error}")
+            self._captured = None
+            return self._act(seen).cpu()

@@ -65,6 +65,7 @@ class Learner(MemberStack, nn.Module):
         random: streams that the state holds.
         optimisers: one for each loss.
         precision: of wide products in updates; what acts is always float32.
+        engine: how updates are carried out (see :mod:`cudc_bench.learning.engines`); ``auto`` takes graphs on CUDA and none elsewhere.
         replayable: whether ``learn`` keeps to what a graph asks of it. A subclass that cannot sets it to False; one with an ``update`` of
             its own never does.
     """
@@ -81,6 +82,7 @@ class Learner(MemberStack, nn.Module):
         self.random: dict[str, MemberRandom] = {}
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
         self.precision: Precision = "float32"
+        self.engine = "auto"
 
     def add_optimiser(self, name: str, trained: Sequence[Trainable], learning_rate: float) -> None:
         """One Adam over some modules, under a name."""

@@ -246,7 +246,7 @@ Trainable = nn.Module | nn.Parameter | tuple[nn.Module, float]
 def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam:
     """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate.
 
-    On CUDA, where a graph would keep a number for ever, learning rates are tensors.
+    Learning rates are tensors, and the state is there from the start: a graph repeats what it was recorded with.
     """
     groups: dict[float, list[nn.Parameter]] = {}
     for one in trained:
@@ -254,10 +254,19 @@ def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam
         groups.setdefault(rate, []).extend([module] if isinstance(module, nn.Parameter) else module.parameters())
     device = next(parameters[0].device for parameters in groups.values())
     on_cuda = device.type == "cuda"
-    rates = {rate: torch.tensor(rate, device=device) if on_cuda else rate for rate in groups}
-    return torch.optim.Adam(
+    # On a CPU as exact as the number itself.
+    rates = {rate: torch.tensor(rate, device=device, dtype=torch.float32 if on_cuda else torch.float64) for rate in groups}
+    optimiser = torch.optim.Adam(
         [{"params": parameters, "lr": rates[rate]} for rate, parameters in groups.items()], fused=True, capturable=on_cuda
     )
+    for parameters in groups.values():
+        for parameter in parameters:
+            optimiser.state[parameter] = {
+                "step": torch.zeros((), device=device),
+                "exp_avg": torch.zeros_like(parameter, memory_format=torch.preserve_format),
+                "exp_avg_sq": torch.zeros_like(parameter, memory_format=torch.preserve_format),
+            }
+    return optimiser
 
 
 def minimise(loss: Tensor, optimiser: torch.optim.Optimizer) -> None:

@@ -18,10 +18,12 @@ from cudc_bench.settings.profiles import resolve_device
 
 @dataclass(frozen=True)
 class Execution:
-    """How a command works. Results depend on the device, and on ``workers`` where a profile shares the cores among them; on nothing else.
+    """How a command works. Results depend on the device, on the engine up to rounding, and on ``workers`` where a profile shares the cores
+    among them; on nothing else.
 
     Attributes:
         device: ``cpu`` or ``cuda``.
+        engine: how updates are carried out, as it was asked for: ``auto``, ``eager`` or ``compiled``.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
         checkpoint_every: seconds between two checkpoints at least.
         fresh: start over where a run was interrupted.
@@ -31,6 +33,7 @@ class Execution:
     """
 
     device: str = "cpu"
+    engine: str = "auto"
     workers: int | None = 1
     checkpoint_every: float = CHECKPOINT_EVERY
     fresh: bool = False
@@ -40,8 +43,8 @@ class Execution:
 
     @classmethod
     def checked(
-        cls, device: str, workers: int | None, checkpoint_every: float, *, fresh: bool = False, overwrite: bool = False,
-        log: str | None = None, log_dir: str | Path = LOG_DIR,
+        cls, device: str, workers: int | None, checkpoint_every: float, *, engine: str = "auto", fresh: bool = False,
+        overwrite: bool = False, log: str | None = None, log_dir: str | Path = LOG_DIR,
     ) -> Self:  # fmt: skip
         """The same as a user gives it.
 
@@ -52,7 +55,17 @@ class Execution:
             raise UsageError(f"--checkpoint-every takes a number of seconds, 0 or more, not {checkpoint_every:g}.")
         worker_count(workers, 1)
         folder = check_log(log, log_dir)
-        return cls(resolve_device(device), workers, checkpoint_every, fresh, overwrite, log, folder)
+        from cudc_bench.learning.engines import check_engine
+
+        device = resolve_device(device)
+        check_engine(engine, device)
+        return cls(device, engine, workers, checkpoint_every, fresh, overwrite, log, folder)
+
+    def engine_for(self, kind: type, updates: int) -> str:
+        """What a run of so many updates of such a learner is carried out with: ``eager``, ``graph`` (CUDA) or ``compiled``."""
+        from cudc_bench.learning.engines import resolve_engine
+
+        return resolve_engine(self.engine, kind, self.device, updates)
 
 
 class Stack(Protocol):

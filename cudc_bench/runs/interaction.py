@@ -20,7 +20,8 @@ from cudc_bench.errors import UnusableError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.learning.checks import check_actions, check_simulated
-from cudc_bench.learning.cuda_graphs import ActionRunner, Updater, graphs_for
+from cudc_bench.learning.cuda_graphs import ActionRunner, Updater
+from cudc_bench.learning.engines import engine_of, graphs_for
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.seeding import episode_seed
@@ -267,6 +268,7 @@ class Interaction(ABC):
         return {
             "stores": [store.state_dict() for store in self.stores()],
             "learner": self._learner.state_dict(),
+            "engine": engine_of(self._learner),
             "first_actions": self._first_actions.state_dict(),
             "replay": None if self.replay is None else self.replay.random.state_dict(),
             "actions": torch.from_numpy(self.actions[:, :t].copy()),
@@ -299,6 +301,7 @@ class Interaction(ABC):
         self._learner.load_state_dict(state["learner"])
         self._first_actions.load_state_dict(state["first_actions"])
         if self.replay is not None:
+            self._update.go_on_with(state["engine"])
             for member, store in enumerate(self.stores()):
                 for episode in store.episodes():
                     self._remember(member, episode)

@@ -17,6 +17,7 @@ from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import cores, only_cores, worker_count
 from cudc_bench.execution.progress import echo
 from cudc_bench.files import check_folder
+from cudc_bench.learning.engines import check_engine
 from cudc_bench.settings.profiles import resolve_device, resolve_profile
 
 from .cluster import ROOT, Cluster, check_cluster, run_on_ray
@@ -76,8 +77,8 @@ class SuiteReport:
 def prepare(
     suite: str | Suite, *, methods: Sequence[str] | None = None, domains: Sequence[str] | None = None, tasks: Sequence[str] | None = None,
     algos: Sequence[str] | None = None, seeds: Sequence[int] | None = None, profile: str | None = None, output: str | Path = "results",
-    report: str | Path = "report", device: str = "auto", workers: int | None = None, checkpoint_every: float = CHECKPOINT_EVERY,
-    cluster: Cluster | None = None,
+    report: str | Path = "report", device: str = "auto", engine: str = "auto",
+    workers: int | None = None, checkpoint_every: float = CHECKPOINT_EVERY, cluster: Cluster | None = None,
 ) -> Prepared:  # fmt: skip
     """Everything that a run of a suite needs to know, checked; nothing is written. The arguments are those of :func:`run_suite`.
 
@@ -102,7 +103,8 @@ def prepare(
     else:
         chosen, device = resolve_profile(part.profile), resolve_device(device)
     worker_count(workers, 1)
-    common = Common(part.name, chosen.name, part.collect, part.evaluate, device, results, folder, checkpoint_every)
+    check_engine(engine, device)
+    common = Common(part.name, chosen.name, part.collect, part.evaluate, device, engine, results, folder, checkpoint_every)
     found = survey(part, common)
     left = found.plan.left(found.done)
     # The threads of each job, and so its result, must not depend on how many are left to do.
@@ -114,7 +116,7 @@ def prepare(
 def run_suite(
     suite: str | Suite = "main", *, methods: Sequence[str] | None = None, domains: Sequence[str] | None = None,
     tasks: Sequence[str] | None = None, algos: Sequence[str] | None = None, seeds: Sequence[int] | None = None,
-    profile: str | None = None, output: str | Path = "results", report: str | Path = "report", device: str = "auto",
+    profile: str | None = None, output: str | Path = "results", report: str | Path = "report", device: str = "auto", engine: str = "auto",
     workers: int | None = None, keep: str = "datasets", checkpoint_every: float = CHECKPOINT_EVERY, ray: str | None = None,
     ray_root: str | Path | None = None, ray_cpus: int = 1, ray_gpus: float = 0.0, ray_retries: int = 3,
 ) -> SuiteReport:  # fmt: skip
@@ -129,6 +131,7 @@ def run_suite(
         output: folder of the records.
         report: folder of the leaderboard.
         device: ``cpu``, ``cuda`` or ``auto``.
+        engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes on a CPU; None takes one for each core.
         keep: ``"datasets"``, or ``"records"`` to remove each dataset that the suite made as soon as all records of it are written.
         checkpoint_every: seconds between two checkpoints.
@@ -147,7 +150,7 @@ def run_suite(
     with shared_root(cluster):
         ready = prepare(
             suite, methods=methods, domains=domains, tasks=tasks, algos=algos, seeds=seeds, profile=profile, output=output, report=report,
-            device=device, workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
+            device=device, engine=engine, workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
         )  # fmt: skip
         return run_prepared(ready, keep, cluster)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, WorkersOption, parse_names
+from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, EngineOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.settings.seeds import parse_seeds
@@ -31,6 +31,7 @@ def run(
     output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
     report: Annotated[str, typer.Option("--report", help="Folder of the leaderboard.")] = "report",
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     workers: WorkersOption = None,
     keep: Annotated[
         str, typer.Option("--keep", help="datasets; or records: remove each dataset when all records of it are written.")
@@ -56,7 +57,7 @@ def run(
         ready = prepare(
             suite, methods=_names(methods), domains=_names(domains), tasks=_names(tasks), algos=_names(algos),
             seeds=None if seeds is None else parse_seeds(seeds), profile=profile, output=output, report=report, device=device,
-            workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
+            engine=engine, workers=workers, checkpoint_every=checkpoint_every, cluster=cluster,
         )  # fmt: skip
         if dry_run:
             screen = Console(highlight=False)

@@ -40,6 +40,7 @@ class Common:
         suite: its name.
         profile, collect, evaluate: hyperparameters.
         device: ``cpu`` or ``cuda``.
+        engine: how updates are carried out, as it was asked for.
         output, report: folders of the records, and of tables and figures.
         checkpoint_every: seconds.
     """
@@ -49,6 +50,7 @@ class Common:
     collect: Mapping[str, Any]
     evaluate: Mapping[str, Any]
     device: str
+    engine: str
     output: Path
     report: Path
     checkpoint_every: float = CHECKPOINT_EVERY
@@ -96,14 +98,14 @@ def made_by(job: Job) -> list[str]:
 
 def _pilot(job: Job, common: Common) -> None:
     plugins.load("stages", "pilot")(
-        list(job.methods), job.domain, profile=common.profile, settings=common.collect, device=common.device,
+        list(job.methods), job.domain, profile=common.profile, settings=common.collect, device=common.device, engine=common.engine,
         checkpoint_every=common.checkpoint_every,
     )  # fmt: skip
 
 
 def _collect(job: Job, common: Common) -> None:
     plugins.load("stages", "collect")(
-        job.method, job.domain, job.seeds, profile=common.profile, settings=common.collect, device=common.device,
+        job.method, job.domain, job.seeds, profile=common.profile, settings=common.collect, device=common.device, engine=common.engine,
         checkpoint_every=common.checkpoint_every,
     )  # fmt: skip
 
@@ -120,7 +122,7 @@ def _evaluate(job: Job, common: Common) -> None:
     plugins.load("stages", "evaluate")(
         job.algo, job.domain, dataset_id=[str(parse_id(base).for_task(task)) for base in job.datasets for task in job.tasks],
         profile=common.profile, settings=common.evaluate, dataset_sizes=None if job.used is None else [job.used],
-        output=common.output, device=common.device, checkpoint_every=common.checkpoint_every,
+        output=common.output, device=common.device, engine=common.engine, checkpoint_every=common.checkpoint_every,
     )  # fmt: skip
 
 

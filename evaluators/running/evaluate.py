@@ -19,6 +19,7 @@ from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
+from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds
@@ -49,6 +50,7 @@ def evaluate(
     output: str | Path = "results",
     overwrite: bool = False,
     device: str = "auto",
+    engine: str = "auto",
     workers: int | None = 1,
     log: str | None = None,
     log_dir: str | Path = LOG_DIR,
@@ -80,6 +82,7 @@ def evaluate(
         output: folder of the records.
         overwrite: train again where a record exists.
         device: ``cpu``, ``cuda`` or ``auto``.
+        engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
         log: also send training metrics and mean returns to ``"tensorboard"`` or ``"wandb"`` while they are measured. Datasets that are
             collected on the way are not logged.
@@ -100,7 +103,9 @@ def evaluate(
     plans = make_plans([algo] if isinstance(algo, str) else algo, chosen, dict(settings or {}), steps)
     results = check_folder(output, "the output")
     check_folder(datasets_root(), "the dataset root")
-    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir)
+    execution = Execution.checked(
+        device, workers, checkpoint_every, engine=engine, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir
+    )
     check_plans(plans, execution.device)
     sizes = check_sizes(dataset_sizes)
     again = None if training_seeds is None else check_seeds(training_seeds)
@@ -119,8 +124,8 @@ def evaluate(
     left = [run for run in runs if overwrite or not run.is_done()]
     for run in runs:
         if run not in left:
-            run.tidy(execution.device)
-    work = Work.plan(execution, "evaluate", stackable(runs), left, partial(Stack, execution.device))
+            run.tidy()
+    work = Work.plan(execution, "evaluate", stackable(runs), left, partial(Stack, execution))
     total = plans[0].loop.gradient_steps
     echo(
         f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(wanted.domains)}: profile {chosen.name}, {len(runs)} runs of"
@@ -134,7 +139,7 @@ def evaluate(
 
 def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, reward: str | None, policies: bool) -> None:
     """Train some members in this process and write their records (the job of :func:`evaluate`)."""
-    plan, runs, device = stack.plan, stack.runs, stack.device
+    plan, runs, device = stack.plan, stack.runs, execution.device
     facts = check_domain(runs[0].manifest.domain)
     checkpoints = stack.checkpoints(execution.checkpoint_every)
     with ExitStack() as opened:
@@ -147,6 +152,7 @@ def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, re
         if execution.fresh:
             checkpoints.remove()
         agent = plan.kind(facts.observation_size, facts.action_size, plan.config, stack.seeds, device)
+        set_engine(agent, stack.engine)
         data = load_members([run.dataset for run in runs], stack.seeds, device, runs[0].used)
         if agent.wants_next_action and int(data.lengths[data.lengths > 0].min()) < 2:
             raise RunError(f"{plan.algo} needs episodes of at least two steps, which {runs[0].dataset} does not have throughout.")
@@ -160,7 +166,7 @@ def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, re
         for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
             if policies:
                 save_policy(agent, member, run.path)
-            write_record(run.path, record_of(run, outcome, device, round(checkpoints.seconds, 1)))
+            write_record(run.path, record_of(run, outcome, device, engine_of(agent), round(checkpoints.seconds, 1)))
         checkpoints.remove()
 
 
@@ -204,7 +210,7 @@ def plan_evaluate(
                 if exists(one):
                     run = Run(plan, str(one), read_manifest(one), used, training_seed, results)
                     # What a process left that was killed just after it had written the record is removed by whoever keeps that.
-                    done = run.is_done() and not run.is_untidy("cpu")
+                    done = run.is_done() and not run.is_untidy()
                 else:
                     made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
                     done = is_recorded(path, plan, used, training_seed, partial(_is_of, made))

@@ -19,7 +19,8 @@ from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.parallel import cores, torch_threads
 from cudc_bench.execution.runlog import RunLog
 from cudc_bench.learning.checks import check_actions, check_simulated, member_rows
-from cudc_bench.learning.cuda_graphs import Updater, graphs_for
+from cudc_bench.learning.cuda_graphs import Updater
+from cudc_bench.learning.engines import engine_of, graphs_for
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Episodes
 from cudc_bench.settings.evaluate_config import EvaluateConfig
@@ -258,12 +259,13 @@ def run_evaluation(
 
     def restore(_: int, state: dict[str, Any]) -> None:
         agent.load_state_dict(state["agent"])
+        updates.go_on_with(state["engine"])
         data.random.load_state_dict(state["draws"])
         ledger.load_state_dict(state["outcomes"])
 
     def state() -> dict[str, Any]:
         # All that the rest of a run depends on. The episodes of an evaluation depend on its step alone.
-        return {"agent": agent.state_dict(), "draws": data.random.state_dict(), "outcomes": ledger.state_dict()}
+        return {"agent": agent.state_dict(), "engine": engine_of(agent), "draws": data.random.state_dict(), "outcomes": ledger.state_dict()}
 
     step = start = 0 if checkpoints is None else checkpoints.load(restore, agent.device)
     advance(start)

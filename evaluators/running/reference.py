@@ -26,6 +26,7 @@ from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
+from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.runs.execution import Execution, Work
@@ -52,7 +53,7 @@ class ReferencePlan:
         profile: the set of hyperparameters that they start from.
         loop, config: all hyperparameters.
         overrides: those that the user changed.
-        device: where the agents learn.
+        device, engine: where the agents learn, and how their updates are to be carried out.
         results: the folder of records.
     """
 
@@ -64,6 +65,7 @@ class ReferencePlan:
     config: TD3Config
     overrides: dict[str, Any]
     device: str
+    engine: str
     results: Path
 
     @property
@@ -144,7 +146,7 @@ class Stack:
         plan = self.plan
         decisive = {
             "hyperparameters": plan.values, "domain": plan.domain, "members": [f"{one.task} seed {one.seed}" for one in self.members],
-            "device": plan.device, **origin({}),
+            "device": plan.device, "engine": plan.engine, **origin({}),
         }  # fmt: skip
         return Checkpoints(self.folder, decisive, every)
 
@@ -184,6 +186,7 @@ def make_references(
     output: str | Path = "results",
     overwrite: bool = False,
     device: str = "auto",
+    engine: str = "auto",
     workers: int | None = 1,
     log: str | None = None,
     log_dir: str | Path = LOG_DIR,
@@ -205,6 +208,7 @@ def make_references(
         output: folder of the records.
         overwrite: make again what exists.
         device: ``cpu``, ``cuda`` or ``auto``.
+        engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
         log: also send training metrics and mean returns to ``"tensorboard"`` or ``"wandb"`` while they are measured.
         log_dir: the folder of these logs; a run's own in it is ``reference/<profile>/<domain>/<task>/seed<seed>``.
@@ -219,8 +223,10 @@ def make_references(
         RunError: the run failed; the references written before stay, and what the run had done until its last checkpoint is kept.
         Interrupted: the process was asked to leave; what it had done is kept.
     """
-    execution = Execution.checked(device, workers, checkpoint_every, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir)
-    plan = _plan(domain, tasks, seeds, profile, dict(settings or {}), output, execution.device)
+    execution = Execution.checked(
+        device, workers, checkpoint_every, engine=engine, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir
+    )
+    plan = _plan(domain, tasks, seeds, profile, dict(settings or {}), output, execution)
     missing = [task for task in plan.tasks if overwrite or not _done(plan, task)]
     members = [Member(task, seed) for task in plan.tasks for seed in plan.seeds]
     work = Work.plan(execution, "reference", [members], [one for one in members if one.task in missing], partial(Stack, plan))
@@ -241,7 +247,13 @@ def make_references(
 
 
 def _plan(
-    domain: str, tasks: Sequence[str] | None, seeds: Sequence[int], profile: str, settings: dict[str, Any], output: str | Path, device: str
+    domain: str,
+    tasks: Sequence[str] | None,
+    seeds: Sequence[int],
+    profile: str,
+    settings: dict[str, Any],
+    output: str | Path,
+    execution: Execution,
 ) -> ReferencePlan:
     """Everything that is needed.
 
@@ -254,9 +266,12 @@ def _plan(
     loop, config = build(OnlineConfig, *layers, settings), TD3.configure(chosen.evaluate, settings)
     overrides = changed(as_dict(loop, config), as_dict(build(OnlineConfig, *layers), TD3.configure(chosen.evaluate), later=True))
     results = check_folder(output, "the output")
-    check_precision(TD3, "td3", loop.precision, device)
+    check_precision(TD3, "td3", loop.precision, execution.device)
     found = check_tasks(check_domain(domain), tasks)
-    return ReferencePlan(domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, device, results)
+    engine = execution.engine_for(TD3, (loop.steps - loop.seed_steps) // loop.update_every)
+    return ReferencePlan(
+        domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, execution.device, engine, results
+    )
 
 
 def _done(plan: ReferencePlan, task: str) -> bool:
@@ -308,6 +323,7 @@ def _train(advance: Advance, stack: Stack, checkpoints: Checkpoints, logs: Seque
     facts = check_domain(plan.domain)
     arena, sizes = Arena(facts, tasks), (facts.observation_size, facts.action_size)
     agent = TD3(*sizes, plan.config, seeds, plan.device)
+    set_engine(agent, plan.engine)
     try:
         outcomes = run_online(agent, plan.loop, facts, tasks, arena, advance, shards, logs, checkpoints)
         untrained = TD3(*sizes, plan.config, seeds, plan.device)
@@ -320,7 +336,7 @@ def _train(advance: Advance, stack: Stack, checkpoints: Checkpoints, logs: Seque
         checkpoints.remove()
         raise
     runs = [_run(*parts).model_dump() for parts in zip(seeds, outcomes, *floors, strict=True)]
-    checkpoints.save(plan.loop.steps, {"finished": {"seconds": checkpoints.seconds, "runs": runs}})
+    checkpoints.save(plan.loop.steps, {"finished": {"seconds": checkpoints.seconds, "engine": engine_of(agent), "runs": runs}})
     for one in shards:
         one.remove()
 
@@ -352,13 +368,14 @@ def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], overw
     with locked(plan.lock(task), f"'{plan.path(task)}'", _PATIENCE):
         if not overwrite and _done(plan, task):
             return True
-        seconds, runs = 0.0, []
+        seconds, runs, engines = 0.0, [], set[str]()
         for stack in stacks:
             if task not in stack.tasks:
                 continue
             if (there := _finished(stack.checkpoints())) is None:
                 return False
             seconds += there["seconds"]
+            engines.add(there["engine"])
             runs += [run for one, run in zip(stack.members, there["runs"], strict=True) if one.task == task]
         head, dirty = commit()
         options = {"--domain": plan.domain, "--task": task, "--seeds": format_seeds(plan.seeds), "--profile": plan.profile}
@@ -374,7 +391,7 @@ def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], overw
             versions=versions(),
             commit=head,
             dirty=dirty,
-            machine=machine(plan.device, torch.get_num_threads()),
+            machine=machine(plan.device, torch.get_num_threads(), " and ".join(sorted(engines))),
             command=command_line("reference", options, plan.overrides, "--overwrite"),
             created=datetime.now(UTC).isoformat(timespec="seconds"),
         )

@@ -20,6 +20,7 @@ from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.files import remove_empty_above
+from cudc_bench.runs.execution import Execution
 from cudc_bench.runs.existing import result_stands
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import in_full
@@ -72,24 +73,29 @@ class Run:
         """
         return is_recorded(self.path, self.plan, self.used, self.seed, lambda dataset: dataset.fingerprint == self.manifest.fingerprint)
 
-    def is_untidy(self, device: str) -> bool:
+    def is_untidy(self) -> bool:
         """Whether something is left of its work."""
-        return self.lock.exists() or Stack(device, [self]).checkpoints().folder.exists()
+        return self.lock.exists() or Stack(Execution(), [self]).checkpoints().folder.exists()
 
-    def tidy(self, device: str) -> None:
+    def tidy(self) -> None:
         """Remove what a process left that was killed just after it had written the record; nothing if somebody is writing it again."""
-        if self.is_untidy(device):
+        if self.is_untidy():
             with suppress(RunError), locked(self.lock, ""):
-                Stack(device, [self]).checkpoints().remove()
+                Stack(Execution(), [self]).checkpoints().remove()
             remove_empty_above(self.lock, self.results / CHECKPOINTS)
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Runs that are trained side by side."""
+    """Runs that are trained side by side, and how."""
 
-    device: str
+    execution: Execution
     runs: list[Run]
+
+    @property
+    def engine(self) -> str:
+        """How their updates are to be carried out."""
+        return self.execution.engine_for(self.plan.kind, self.plan.loop.gradient_steps)
 
     @property
     def plan(self) -> Plan:
@@ -127,8 +133,8 @@ class Stack:
         plan = self.plan
         decisive = {
             "algorithm": plan.algo, "hyperparameters": plan.values, "seeds": self.seeds, "used": self.runs[0].used,
-            "datasets": {run.dataset: run.manifest.fingerprint for run in self.runs}, "device": self.device,
-            **origin(plugins.package("evaluators", plan.algo)),
+            "datasets": {run.dataset: run.manifest.fingerprint for run in self.runs}, "device": self.execution.device,
+            "engine": self.engine, **origin(plugins.package("evaluators", plan.algo)),
         }  # fmt: skip
         if len(self.runs) == 1:
             return Checkpoints(self.runs[0].hidden, decisive, every)
@@ -162,13 +168,14 @@ def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Ca
     return result_stands(path, read_record, is_of_it, lambda _: "records another run (other data or settings)")
 
 
-def record_of(run: Run, outcome: Outcome, device: str, seconds: float) -> Record:
+def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: float) -> Record:
     """The record of a run.
 
     Args:
         run: which.
         outcome: what came out.
         device: where it was trained.
+        engine: how its updates were carried out.
         seconds: of work.
     """
     plan, manifest, dataset_id = run.plan, run.manifest, run.dataset
@@ -211,7 +218,7 @@ def record_of(run: Run, outcome: Outcome, device: str, seconds: float) -> Record
         versions=versions(),
         commit=head,
         dirty=dirty,
-        machine=machine(device, torch.get_num_threads()),
+        machine=machine(device, torch.get_num_threads(), engine),
         command=command_line("evaluate", options, plan.overrides, "--overwrite"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip

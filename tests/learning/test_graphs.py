@@ -12,10 +12,12 @@ from torch import Tensor
 
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Sizes
-from cudc_bench.learning.cpu_graphs import RecordedGraph, WaitsForDeviceError
-from cudc_bench.learning.cuda_graphs import WARM_UP, ActionRunner, Graph, Updater, graphs_for
+from cudc_bench.learning.cpu_graphs import RecordedGraph
+from cudc_bench.learning.cuda_graphs import WARM_UP, ActionRunner, Graph, Updater
+from cudc_bench.learning.engines import graphs_for
 from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, mlp
+from cudc_bench.learning.recording import WaitsForDeviceError
 from cudc_bench.learning.replay import Batch, Episodes
 
 CUDA = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
@@ -73,11 +75,8 @@ class Counting(RecordedGraph):
 
 
 def test_replays_equal_updates_one_by_one() -> None:
-    """Learning rates are the host's, and numbers here: they are what a replay cannot see, and differs by."""
+    """The host's learning rates among them, which are tensors."""
     plain, graphed = Regression(), Regression()
-    for learner in (plain, graphed):
-        # A tensor, as it is on CUDA.
-        learner.optimisers["network"].param_groups[0]["lr"] = torch.tensor(1e-2, dtype=torch.float64)
     Counting.replays = 0
     runs = [updates_of(plain, None), updates_of(graphed, Counting)]
     for step in range(20):
@@ -108,8 +107,15 @@ def test_what_python_decides_is_not_seen_by_a_replay() -> None:
 
 @pytest.mark.parametrize(
     "wait",
-    [lambda x: x.sum().item(), lambda x: bool((x > 0).any()), lambda x: x[x > 0], lambda x: x.nonzero()],
-    ids=["item", "branch", "mask", "nonzero"],
+    [
+        lambda x: x.sum().item(),
+        lambda x: bool((x > 0).any()),
+        lambda x: x[x > 0],
+        lambda x: x.nonzero(),
+        lambda x: x * torch.tensor(0.5),
+        lambda x: x + torch.as_tensor(0.5),
+    ],
+    ids=["item", "branch", "mask", "nonzero", "tensor of a number", "number as a tensor"],
 )
 def test_an_update_that_waits_for_the_device_is_refused(wait: Callable[[Tensor], object]) -> None:
     class Waiting(Regression):

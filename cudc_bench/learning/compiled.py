@@ -1,0 +1,256 @@
+"""An update as one compiled function: recorded once, made free of changes in place, and given to PyTorch's compiler (Inductor).
+
+On a CPU this is a C++ function without Python in it. It needs a C++ compiler, takes up to half a minute the first time for each method,
+size and number of threads, and is kept on the disk. Results are those of updates one by one up to rounding: the compiler fuses operations,
+and changes the order of sums.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import shutil
+import subprocess
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, fx
+
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.progress import echo
+from cudc_bench.learning.cuda_graphs import CudaGraph, Graph
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.recording import NotRepeatableError, Recording
+
+T = TypeVar("T")
+aten = torch.ops.aten
+_CACHE = "TORCHINDUCTOR_CACHE_DIR"
+
+
+class CannotCompileError(Exception):
+    """The compiler is missing, or does not take an update."""
+
+
+@cache
+def missing_compiler() -> str | None:
+    """What keeps this machine from compiling for its CPU; None if nothing does."""
+    name = os.environ.get("CXX", "g++")
+    if (path := shutil.which(name)) is None:
+        return f"there is no C++ compiler '{name}'"
+    # Clang and old compilers may lack OpenMP's header, with which every compiled function begins.
+    source = "#include <omp.h>\nint main() { return omp_get_max_threads() > 0 ? 0 : 1; }\n"
+    try:
+        run = subprocess.run([path, "-x", "c++", "-std=c++17", "-fopenmp", "-fsyntax-only", "-"],
+                             input=source, text=True, capture_output=True, timeout=60, check=False)  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"'{name}' cannot be run ({error})"
+    return None if run.returncode == 0 else f"'{name}' knows no C++17 with OpenMP"
+
+
+def cache_folder() -> Path:
+    """Where compiled functions are kept: ``TORCHINDUCTOR_CACHE_DIR``, by default a folder of the user's cache."""
+    if given := os.environ.get(_CACHE):
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cudc-bench" / "compiled"
+
+
+class CompiledGraph(Graph):
+    """An update on a CPU as one function. It needs no warm-up, so that a run that is continued is compiled from its next update on."""
+
+    warm_up = 0
+
+    def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
+        self._recording, result = Recording.of(function, random)
+        self._run = compile_recording(self._recording)
+        return result
+
+    def replay(self) -> None:
+        self._recording.draw()
+        self._run()
+
+
+class CompiledCudaGraph(CudaGraph):
+    """A CUDA graph of a compiled update: few kernels, and no Python between them."""
+
+    def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
+        streams = list(random)
+        recording, result = Recording.of(function, streams)
+        run = compile_recording(recording)
+
+        def update() -> None:
+            recording.draw()
+            run()
+
+        # Kernels are loaded when they first run, which a capture does not allow.
+        with recording.taken_back(streams):
+            self.warm(update)
+        super().capture(update, streams)
+        return result
+
+
+def compile_recording(recording: Recording) -> Callable[[], None]:
+    """The function that does what was recorded, apart from its draws.
+
+    Raises:
+        CannotCompileError: the compiler does not take it.
+        Interrupted: the process was asked to leave meanwhile.
+    """
+    known = cache_folder() / "known" / _key(recording)
+    os.environ.setdefault(_CACHE, str(cache_folder()))
+    start = time.perf_counter()
+    if not known.exists():
+        echo("compiling an update for this method, size and machine; it is kept, and most take less than half a minute")
+    try:
+        with _quiet():
+            compiled = _compiled(recording)
+    except Exception as error:  # whatever the compiler raises: single steps remain
+        if interrupts.requested():
+            # Ctrl-C ends the compilers that it started as well.
+            raise interrupts.interrupted("") from None
+        raise CannotCompileError(f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:200]}") from error
+    if not known.exists():
+        echo(f"compiled in {time.perf_counter() - start:.0f} s")
+        with contextlib.suppress(OSError):
+            known.parent.mkdir(parents=True, exist_ok=True)
+            known.touch()
+    inputs = recording.inputs
+
+    def run() -> None:
+        with torch.no_grad():
+            compiled(list(inputs))
+
+    return run
+
+
+def _key(recording: Recording) -> str:
+    shapes = [(tuple(one.shape), tuple(one.stride()), str(one.dtype), str(one.device)) for one in recording.inputs]
+    text = f"{torch.__version__} {torch.get_num_threads()} {shapes} {recording.graph.code}"
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """What the compiler says to its own developers is nothing to people who train."""
+    log = logging.getLogger("torch._inductor")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(before)
+
+
+def _compiled(recording: Recording) -> Callable[[list[Tensor]], Any]:
+    from torch._guards import TracingContext, tracing
+    from torch._inductor import config
+    from torch._inductor.compile_fx import compile_fx_inner
+    from torch._subclasses.fake_tensor import FakeTensorMode
+
+    mode = FakeTensorMode()
+    graph, inputs = functional(recording, mode)
+    on_cpu = all(one.device.type == "cpu" for one in recording.inputs)
+    options = {"cpp.threads": torch.get_num_threads(), "cpp_wrapper": on_cpu, "fx_graph_cache": True}
+    with torch.no_grad(), mode, tracing(TracingContext(mode)), config.patch(options):
+        compiled: Any = compile_fx_inner(graph, inputs, cpp_wrapper=on_cpu, is_inference=True)
+    return compiled
+
+
+def functional(recording: Recording, mode: Any) -> tuple[fx.GraphModule, list[Tensor]]:
+    """The recorded operations without changes in place but for one copy at the end into each input that changes, and with optimisers and
+    slow copies taken apart into arithmetic.
+
+    Args:
+        recording: of an update.
+        mode: a ``FakeTensorMode``, in which the graph is traced.
+
+    Returns:
+        The graph and stand-ins for its inputs.
+
+    Raises:
+        NotRepeatableError: its optimiser is none that can be taken apart.
+    """
+    from torch._inductor.decomposition import select_decomp_table
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    _check_steps(recording)
+    inputs = [mode.from_tensor(one) for one in recording.inputs]
+    interpreter = _TakingApart(recording.graph)
+
+    def run(*arguments: Tensor) -> tuple[()]:
+        interpreter.run(*arguments)
+        return ()
+
+    with torch.no_grad(), mode:
+        changing = torch.func.functionalize(run, remove="mutations")
+        graph = make_fx(changing, decomposition_table=select_decomp_table())(*inputs)
+    return graph, inputs
+
+
+class _TakingApart(fx.Interpreter):
+    """Carries out operations on lists one tensor after the other."""
+
+    def call_function(self, target: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        if target is aten.detach.default:
+            return args[0]
+        if (apart := _APART.get(target)) is not None:
+            return apart(*args, **kwargs)
+        if str(target).startswith(("aten._foreach", "aten._fused")):
+            raise NotRepeatableError(f"{target} is not taken apart here; use the optimisers of cudc_bench.learning.networks")
+        return super().call_function(target, args, kwargs)
+
+
+def _lerp(targets: Sequence[Tensor], onlines: Sequence[Tensor], weight: Any) -> None:
+    for target, online in zip(targets, onlines, strict=True):
+        target.lerp_(online, weight)
+
+
+def _add(tensors: Sequence[Tensor], number: Any) -> None:
+    for tensor in tensors:
+        tensor.add_(number)
+
+
+def _adam(
+    parameters: Sequence[Tensor], gradients: Sequence[Tensor], averages: Sequence[Tensor], squares: Sequence[Tensor],
+    most: Sequence[Tensor], steps: Sequence[Tensor], *, lr: Any, beta1: float, beta2: float, weight_decay: float, eps: float,
+    amsgrad: bool, maximize: bool, **_: Any,
+) -> None:  # fmt: skip
+    """Kingma and Ba's Adam as PyTorch's fused kernel computes it."""
+    if weight_decay or amsgrad or maximize:
+        raise NotRepeatableError("only plain Adam is taken apart")
+    # All are equal. In single precision 1 - 0.999 would keep four digits.
+    count = steps[0].double()
+    size = lr / (1.0 - beta1**count)
+    root = (1.0 - beta2**count).sqrt()
+    for parameter, gradient, average, square in zip(parameters, gradients, averages, squares, strict=True):
+        average.lerp_(gradient, 1.0 - beta1)
+        square.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)
+        parameter.sub_(size.to(parameter.dtype) * average / (square.sqrt() / root.to(parameter.dtype) + eps))
+
+
+_APART: dict[Any, Callable[..., Any]] = {
+    aten._foreach_add_.Scalar: _add,
+    aten._foreach_lerp_.Scalar: _lerp,
+    aten._fused_adam_.default: _adam,
+    aten._fused_adam_.tensor_lr: _adam,
+}
+
+
+def _check_steps(recording: Recording) -> None:
+    """An optimiser's parameters have one count of steps, though each has a tensor of its own for it."""
+    given = dict(zip(recording.graph.graph.find_nodes(op="placeholder"), recording.inputs, strict=True))
+    for node in recording.graph.graph.nodes:
+        if node.target in (aten._fused_adam_.default, aten._fused_adam_.tensor_lr):
+            counts = [given.get(step) for step in node.args[5]]
+            if any(count is None for count in counts):
+                raise NotRepeatableError("its optimiser makes its state only now")
+            if len({float(count) for count in counts if count is not None}) > 1:
+                raise NotRepeatableError("its optimiser has counted different steps for its parameters")
