@@ -108,7 +108,10 @@ class ActorCritic(OfflineLearner):
 
     def sample(self, observation: Tensor) -> Tensor:
         """Actions of the stochastic policy for (E, B, S), with gradient."""
-        mean = self.actor(observation)
+        return self.around(self.actor(observation))
+
+    def around(self, mean: Tensor) -> Tensor:
+        """Actions of the stochastic policy around a mean (E, B, A)."""
         noise = self.random["noise"].normal(*mean.shape[1:])
         return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
 

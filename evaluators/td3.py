@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from torch import Tensor
 
-from cudc_bench.learning.networks import MemberRandom, make_target, noisy_action, soft_update
+from cudc_bench.learning.networks import MemberRandom, make_target, soft_update
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import PositiveInt
 
@@ -54,18 +54,16 @@ class TD3(ActorCritic):
     def next_action(self, batch: Batch) -> Tensor:
         if not self.config.target_actor:
             return super().next_action(batch)
-        mean = self.target_actor(batch.next_observation)
-        noise = self.random["noise"].normal(*mean.shape[1:])
-        return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
+        return self.around(self.target_actor(batch.next_observation))
 
-    def actor_value(self, batch: Batch) -> Tensor:
-        """What the actor maximises at each state (E, B)."""
-        action = self.sample(batch.observation) if self.config.actor_noise else self.actor(batch.observation)
+    def actor_value(self, batch: Batch, mean: Tensor) -> Tensor:
+        """What the actor maximises at each state (E, B), whose means (E, B, A) it gives."""
+        action = self.around(mean) if self.config.actor_noise else mean
         values = self.critic(batch.observation, action)
         return values.amin(-1) if self.config.maximise == "min" else values[..., 0]
 
     def actor_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        return -self.actor_value(batch).mean(1), {}
+        return -self.actor_value(batch, self.actor(batch.observation)).mean(1), {}
 
     def update_targets(self) -> None:
         super().update_targets()

@@ -35,7 +35,8 @@ class TD3BC(TD3):
     summary = "TD3 that stays near the data, as in ExORL"
 
     def actor_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        value = self.actor_value(batch)
+        mean = self.actor(batch.observation)
+        value = self.actor_value(batch, mean)
         scale = self.config.alpha / value.detach().abs().mean(1)
-        distance = (self.actor(batch.observation) - batch.action).square().mean((1, 2))
+        distance = (mean - batch.action).square().mean((1, 2))
         return distance - scale * value.mean(1), {"bc_loss": distance.detach(), "actor_value": value.detach().mean(1)}

@@ -120,16 +120,31 @@ class Learner(MemberStack, nn.Module):
     def state_dict(self) -> dict[str, Any]:  # type: ignore[override]
         return {
             "networks": nn.Module.state_dict(self),
-            "optimisers": {name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
+            "optimisers": {name: _state_of(optimiser) for name, optimiser in self.optimisers.items()},
             "random": {name: random.state_dict() for name, random in self.random.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:  # type: ignore[override]
         nn.Module.load_state_dict(self, state["networks"])
         for name, optimiser in self.optimisers.items():
-            optimiser.load_state_dict(state["optimisers"][name])
+            _load(optimiser, state["optimisers"][name])
         for name, random in self.random.items():
             random.load_state_dict(state["random"][name])
+
+
+def _state_of(optimiser: torch.optim.Optimizer) -> dict[str, Any]:
+    """Its state, with learning rates as numbers, wherever they are while it works."""
+    state = optimiser.state_dict()
+    groups = [{key: float(value) if key == "lr" else value for key, value in group.items()} for group in state["param_groups"]]
+    return {**state, "param_groups": groups}
+
+
+def _load(optimiser: torch.optim.Optimizer, state: dict[str, Any]) -> None:
+    rates = [group["lr"] for group in optimiser.param_groups]
+    optimiser.load_state_dict(state)
+    for group, rate in zip(optimiser.param_groups, rates, strict=True):
+        if isinstance(rate, Tensor):
+            group["lr"] = rate.fill_(group["lr"])
 
 
 def check_precision(kind: type, name: str, precision: Precision, device: str) -> None:

@@ -31,15 +31,15 @@ def test_what_runs_for_some_is_of_the_battery():
 class Shares(TD3):
     """Its members see each other."""
 
-    def actor_value(self, batch):
-        return super().actor_value(batch) * super().actor_value(batch).detach().mean()
+    def actor_value(self, batch, mean):
+        return super().actor_value(batch, mean) * super().actor_value(batch, mean).detach().mean()
 
 
 class Forgets(TD3):
     """Draws from a generator that no state holds."""
 
-    def actor_value(self, batch):
-        return super().actor_value(batch) * torch.rand(1)
+    def actor_value(self, batch, mean):
+        return super().actor_value(batch, mean) * torch.rand(1)
 
 
 class Overshoots(TD3):

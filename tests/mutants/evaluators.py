@@ -152,6 +152,8 @@ MUTANTS: list[Mutant] = [
             "return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
             "return mean + 0.0 * noise",
             "return noisy_action(mean, noise, self.config.noise_std, None)",
+            "return noisy_action(mean, noise, 1.02 * self.config.noise_std, self.config.noise_clip)",
+            "return noisy_action(mean, noise, self.config.noise_std, 1.02 * self.config.noise_clip)",
         ),
     ),
     *mutants(
@@ -189,11 +191,12 @@ MUTANTS: list[Mutant] = [
     *mutants(
         "evaluators/td3.py", ("td3",),
         (
-            "return -self.actor_value(batch).mean(1), {}",
-            "return -1.02 * self.actor_value(batch).mean(1), {}",
-            "return -self.actor_value(batch).sum(1), {}",
-            "return self.actor_value(batch).mean(1), {}",
-            "return -self.actor_value(batch).mean(0, keepdim=True).mean(1).expand(2), {}",
+            "return -self.actor_value(batch, self.actor(batch.observation)).mean(1), {}",
+            "return -1.02 * self.actor_value(batch, self.actor(batch.observation)).mean(1), {}",
+            "return -self.actor_value(batch, self.actor(batch.observation)).sum(1), {}",
+            "return self.actor_value(batch, self.actor(batch.observation)).mean(1), {}",
+            "return -self.actor_value(batch, self.actor(batch.observation)).mean(0, keepdim=True).mean(1).expand(2), {}",
+            "return -self.actor_value(batch, self.actor(batch.next_observation)).mean(1), {}",
         ),
         ("if self.config.actor_noise else", "if not self.config.actor_noise else"),
         ('if self.config.maximise == "min" else', 'if self.config.maximise != "min" else'),
@@ -212,14 +215,9 @@ MUTANTS: list[Mutant] = [
         "evaluators/td3.py", ("td3", "td3-fujimoto", "td3-bc"),
         ("(self.updates + 1) % self.config.policy_delay", "self.updates % self.config.policy_delay"),
         (
-            "mean = self.target_actor(batch.next_observation)",
-            "mean = self.actor(batch.next_observation)",
-            "mean = self.target_actor(batch.observation)",
-        ),
-        (
-            "return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)",
-            "return noisy_action(mean, noise, 1.02 * self.config.noise_std, self.config.noise_clip)",
-            "return noisy_action(mean, noise, self.config.noise_std, 1.02 * self.config.noise_clip)",
+            "return self.around(self.target_actor(batch.next_observation))",
+            "return self.around(self.actor(batch.next_observation))",
+            "return self.around(self.target_actor(batch.observation))",
         ),
         (
             "soft_update(self.actor, self.target_actor, self.config.critic_tau)",
@@ -246,7 +244,8 @@ MUTANTS: list[Mutant] = [
         (".square().mean((1, 2))", ".square().sum(-1).mean(1)", ".abs().mean((1, 2))"),
         ("return distance - scale", "return 1.02 * distance - scale", "return distance + scale", "return distance.detach() - scale"),
         ("scale * value.mean(1), {", "scale * value.sum(1), {"),
-        ("(self.actor(batch.observation) - batch.action)", "(self.sample(batch.observation) - batch.action)"),
+        ("(mean - batch.action)", "(self.around(mean) - batch.action)"),
+        ("mean = self.actor(batch.observation)", "mean = self.actor(batch.next_observation)"),
     ),
     *mutants(
         "evaluators/crr.py", ("crr",),
