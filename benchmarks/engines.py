@@ -1,4 +1,4 @@
-"""Compiled updates against updates one by one: each learner at the ``cpu`` profile's sizes, in one thread, drawing its minibatches included."""
+"""Compiled updates against updates one by one: each learner at the ``cpu`` profile's sizes, in one thread, minibatches drawn with them."""
 
 from __future__ import annotations
 

@@ -62,9 +62,14 @@ def cache_folder() -> Path:
 
 
 class CompiledGraph(Graph):
-    """An update on a CPU as one function. It needs no warm-up, so that a run that is continued is compiled from its next update on."""
+    """An update on a CPU as one function.
+
+    It needs no warm-up, so that a run that is continued is compiled from its next update on. Minibatches are drawn before, so that datasets
+    of all sizes share one function.
+    """
 
     warm_up = 0
+    draws = False
 
     def capture(self, function: Callable[[], T], random: Iterable[MemberRandom]) -> T:
         self._recording, result = Recording.of(function, random)

@@ -37,10 +37,12 @@ class Graph(ABC):
 
     Class attributes:
         warm_up: how many updates come before a capture, one by one.
+        draws: whether the draw of a minibatch is part of it; else it takes minibatches that were drawn before.
         falls_back: whether updates go on one by one where a capture fails; else its error is raised.
     """
 
     warm_up: ClassVar[int] = WARM_UP
+    draws: ClassVar[bool] = True
     falls_back: ClassVar[bool] = True
 
     @abstractmethod
@@ -94,6 +96,7 @@ class _Captured(Generic[T]):
 
     def __init__(self, make: Callable[[], Graph], random: Iterable[MemberRandom], learner: Any = None) -> None:
         self._graph, self._random, self._learner = make(), list(random), learner
+        self.draws = self._graph.draws
         self._calls = 0
         self._result: T
 
@@ -149,6 +152,7 @@ class Updater:
     def __init__(self, learner: Any, draw: Callable[[bool], Batch], random: MemberRandom, make: Callable[[], Graph] | None) -> None:
         self._learner, self._draw, self._random, self._make = learner, draw, random, make
         self._captured: dict[Hashable, _Captured[Batch]] = {}
+        self._drawn: Batch | None = None
 
     def __call__(self, measure: bool) -> tuple[dict[str, Tensor], Batch]:
         """One update; its metrics, which are none without ``measure``, and its minibatch, which the next one may write over."""
@@ -158,20 +162,31 @@ class Updater:
         learner, plan = self._learner, self._learner.prepare()
         if plan not in self._captured:
             self._captured[plan] = _Captured(self._make, [*learner.random.values(), self._random], learner)
+        captured = self._captured[plan]
+        drawn = None if captured.draws else self._in_its_place(self._draw(False))
 
         def update() -> Batch:
-            batch = self._draw(False)
+            batch = drawn or self._draw(False)
             with learner.products():
                 learner.learn(batch, plan)
             batch.cache = {}
             return batch
 
         try:
-            return {}, self._captured[plan](update)
+            return {}, captured(update)
         except CannotCaptureError as error:
             echo(f"updates of {type(learner).__name__} go one by one, as {learner.engine} they cannot: {error}")
             self.go_on_with("eager")
             return {}, update()
+
+    def _in_its_place(self, batch: Batch) -> Batch:
+        """A minibatch where the first one was, which is where a graph looks for it."""
+        if self._drawn is None:
+            self._drawn = batch
+        for name, value in vars(batch).items():
+            if isinstance(value, Tensor):
+                getattr(self._drawn, name).copy_(value)
+        return self._drawn
 
     def go_on_with(self, engine: str) -> None:
         """Take updates up as a run did that is continued: one by one if it could not do otherwise."""

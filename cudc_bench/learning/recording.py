@@ -245,7 +245,11 @@ class _Builder:
                     self._input(tensor)
             self._written.update(map(_place, call.written()))
             made |= dict.fromkeys(map(_place, _tensors(call.result)))
-        self._kept = {_place(one): self._graph.placeholder(f"result{i}") for i, one in enumerate(results) if _place(one) not in self._nodes}
+        self._kept = {
+            _place(one): self._graph.placeholder(f"result{i}")
+            for i, one in enumerate(results)
+            if _place(one) in made and _place(one) not in self._nodes
+        }
         by_place = {_place(one): one for one in results}
         self.inputs += [by_place[place].detach() for place in self._kept]
         self._refuse_overlaps(filled)

@@ -105,7 +105,8 @@ class Interaction(ABC):
         self._simulators = make_simulators(domain.name, members)
         self._first_actions = MemberRandom(seeds, "first actions")
         graphs = graphs_for(learner, learner.device)
-        self._acts = ActionRunner(self.act, random, learner.device, graphs)
+        # On a CPU an action is a few small products, and compiling it would take longer than it could save.
+        self._acts = ActionRunner(self.act, random, learner.device, None if learner.device.type == "cpu" else graphs)
         self.replay: Episodes | None = None
         if learns:
             episodes = math.ceil(pace.steps / length)

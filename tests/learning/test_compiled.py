@@ -35,6 +35,7 @@ class FunctionalGraph(Graph):
     """What a compiler is given, carried out as it stands: the formula without its code."""
 
     warm_up = 0
+    draws = False
     falls_back = False
 
     def capture(self, function: Callable[[], Any], random: Any) -> Any:
