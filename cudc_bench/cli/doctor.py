@@ -67,6 +67,34 @@ def _cuda() -> tuple[bool, str]:
     return True, f"{found}; --profile auto means {resolve_profile('auto').name}"
 
 
+def _updates() -> tuple[bool, str]:
+    import torch
+
+    from cudc_bench import plugins
+    from cudc_bench.learning.compiled import cache_folder, missing_compiler
+    from cudc_bench.learning.cuda_graphs import WARM_UP, Updater
+    from cudc_bench.learning.engines import graphs_for
+    from cudc_bench.learning.networks import MemberRandom
+    from cudc_bench.learning.replay import Episodes
+
+    missing = missing_compiler()
+    said = "long runs on a CPU are compiled" + (f", and kept in {cache_folder()}" if missing is None else f" not: {missing}")
+    if not torch.cuda.is_available():
+        return True, said
+    td3, random = plugins.load("evaluators", "td3"), MemberRandom([1], "replay", "cuda")
+    learner = td3(3, 2, td3.configure({"width": 32, "batch_size": 16}), [1], "cuda")
+    data = Episodes(1, 1, 50, 3, 2, random, rewards=True)
+    data.add(0, torch.randn(51, 3), torch.rand(50, 2), rewards=torch.rand(50))
+    one = torch.ones(1, dtype=torch.int64, device="cuda")
+    update = Updater(learner, lambda measure: data.sample(16, one, measure), random, graphs_for(learner, learner.device))
+    for _ in range(WARM_UP + 3):
+        update(False)
+    finite = all(bool(one.isfinite().all()) for one in learner.parameters())
+    captured = learner.engine != "eager"
+    how = "captured and replayed as a graph" if captured else "cannot be captured as a graph, and go one by one"
+    return finite and captured, f"{said}; updates of a small learner {how} on CUDA{'' if finite else ', with results that are not finite'}"
+
+
 def _rendering() -> tuple[bool, str]:
     import os
 
@@ -112,6 +140,7 @@ _CHECKS: tuple[tuple[str, Callable[[], tuple[bool, str]]], ...] = (
     ("versions", _versions),
     ("processor", _processor),
     ("cuda", _cuda),
+    ("updates", _updates),
     ("rendering", _rendering),
     ("dataset root", _root),
     ("environment", _environment),

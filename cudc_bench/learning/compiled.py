@@ -201,7 +201,7 @@ def functional(recording: Recording, mode: Any) -> tuple[fx.GraphModule, list[Te
 
 
 class _TakingApart(fx.Interpreter):
-    """Carries out operations on lists one tensor after the other."""
+    """Carries out optimisers and slow copies as arithmetic on lists, which the compiler makes one kernel of on a GPU."""
 
     def call_function(self, target: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         if target is aten.detach.default:
@@ -213,19 +213,26 @@ class _TakingApart(fx.Interpreter):
         return super().call_function(target, args, kwargs)
 
 
-def _lerp(targets: Sequence[Tensor], onlines: Sequence[Tensor], weight: Any) -> None:
-    for target, online in zip(targets, onlines, strict=True):
-        target.lerp_(online, weight)
+def _set(old: Sequence[Tensor], new: Sequence[Tensor]) -> None:
+    for one, value in zip(old, new, strict=True):
+        one.copy_(value)
 
 
-def _add(tensors: Sequence[Tensor], number: Any) -> None:
-    for tensor in tensors:
-        tensor.add_(number)
+def _lerp(targets: list[Tensor], onlines: list[Tensor], weight: Any) -> None:
+    _set(targets, torch._foreach_add(targets, torch._foreach_mul(torch._foreach_sub(onlines, targets), weight)))
+
+
+def _add(tensors: list[Tensor], number: Any) -> None:
+    if all(one.ndim == 0 for one in tensors):
+        # An optimiser's counts of steps, which are all the same (see :func:`_check_steps`).
+        _set(tensors, [tensors[0] + number] * len(tensors))
+    else:
+        _set(tensors, torch._foreach_add(tensors, number))
 
 
 def _adam(
-    parameters: Sequence[Tensor], gradients: Sequence[Tensor], averages: Sequence[Tensor], squares: Sequence[Tensor],
-    most: Sequence[Tensor], steps: Sequence[Tensor], *, lr: Any, beta1: float, beta2: float, weight_decay: float, eps: float,
+    parameters: list[Tensor], gradients: list[Tensor], averages: list[Tensor], squares: list[Tensor],
+    most: list[Tensor], steps: list[Tensor], *, lr: Any, beta1: float, beta2: float, weight_decay: float, eps: float,
     amsgrad: bool, maximize: bool, **_: Any,
 ) -> None:  # fmt: skip
     """Kingma and Ba's Adam as PyTorch's fused kernel computes it."""
@@ -235,10 +242,14 @@ def _adam(
     count = steps[0].double()
     size = lr / (1.0 - beta1**count)
     root = (1.0 - beta2**count).sqrt()
-    for parameter, gradient, average, square in zip(parameters, gradients, averages, squares, strict=True):
-        average.lerp_(gradient, 1.0 - beta1)
-        square.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)
-        parameter.sub_(size.to(parameter.dtype) * average / (square.sqrt() / root.to(parameter.dtype) + eps))
+    size, root = size.to(parameters[0].dtype), root.to(parameters[0].dtype)
+    times = torch._foreach_mul
+    moved = torch._foreach_add(averages, times(torch._foreach_sub(gradients, averages), 1.0 - beta1))
+    wider = torch._foreach_add(times(squares, beta2), times(times(gradients, gradients), 1.0 - beta2))
+    divisors = torch._foreach_add(torch._foreach_div(torch._foreach_sqrt(wider), root), eps)
+    changed = torch._foreach_sub(parameters, torch._foreach_div(times(moved, size), divisors))
+    for old, new in ((averages, moved), (squares, wider), (parameters, changed)):
+        _set(old, new)
 
 
 _APART: dict[Any, Callable[..., Any]] = {
@@ -250,12 +261,20 @@ _APART: dict[Any, Callable[..., Any]] = {
 
 
 def _check_steps(recording: Recording) -> None:
-    """An optimiser's parameters have one count of steps, though each has a tensor of its own for it."""
+    """An optimiser's parameters have one count of steps, though each has a tensor of its own for it.
+
+    Raises:
+        NotRepeatableError: they do not, or the optimiser had made no state when it was recorded.
+    """
     given = dict(zip(recording.graph.graph.find_nodes(op="placeholder"), recording.inputs, strict=True))
     for node in recording.graph.graph.nodes:
-        if node.target in (aten._fused_adam_.default, aten._fused_adam_.tensor_lr):
-            counts = [given.get(step) for step in node.args[5]]
-            if any(count is None for count in counts):
+        if node.target is aten._foreach_add_.Scalar:
+            counts = [given[one] for one in node.args[0] if one in given and given[one].ndim == 0]
+        elif node.target in (aten._fused_adam_.default, aten._fused_adam_.tensor_lr):
+            if any(step not in given for step in node.args[5]):
                 raise NotRepeatableError("its optimiser makes its state only now")
-            if len({float(count) for count in counts if count is not None}) > 1:
-                raise NotRepeatableError("its optimiser has counted different steps for its parameters")
+            counts = [given[step] for step in node.args[5]]
+        else:
+            continue
+        if len({float(count) for count in counts}) > 1:
+            raise NotRepeatableError("its optimiser has counted different steps for its parameters")

@@ -387,7 +387,7 @@ def test_doctor_checks_this_machine(cli: Callable, datasets: Path) -> None:
     done = cli("doctor", anew=True)
     assert (done.code, done.err) == (0, ""), done.out
     assert "FAIL" not in done.out
-    for check in ("python", "versions", "processor", "cuda", "rendering", "dataset root", "environment"):
+    for check in ("python", "versions", "processor", "cuda", "updates", "rendering", "dataset root", "environment"):
         assert f"ok   {check}" in done.out
     assert not datasets.exists()
 
@@ -397,7 +397,7 @@ def test_doctor_reports_what_is_wrong(here: Callable, datasets: Path) -> None:
     done = here(["doctor"])
     assert done.code == 1
     assert "FAIL dataset root" in done.out
-    assert "1 of 7 checks failed" in done.out
+    assert "1 of 8 checks failed" in done.out
 
 
 def test_the_installed_command_is_this_one(environment: dict[str, str], tmp_path: Path) -> None:

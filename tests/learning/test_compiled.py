@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+import cudc_bench
 from cudc_bench import plugins
+from cudc_bench.artefacts.manifest import read_manifest
+from cudc_bench.artefacts.records import read_record
 from cudc_bench.collectors import variants
 from cudc_bench.collectors.base import Sizes
-from cudc_bench.learning import compiled
+from cudc_bench.errors import UsageError
+from cudc_bench.evaluators.contract import BRIEF, random_walker_data
+from cudc_bench.evaluators.running.loop import Arena, run_evaluation
+from cudc_bench.execution import interrupts
+from cudc_bench.execution.checkpoints import Checkpoints
+from cudc_bench.learning import compiled, engines
 from cudc_bench.learning.compiled import CannotCompileError, functional, missing_compiler
 from cudc_bench.learning.cuda_graphs import Graph, Updater
 from cudc_bench.learning.engines import WORTH_COMPILING, graphs_for, resolve_engine, set_engine
@@ -21,6 +30,7 @@ from cudc_bench.learning.learner import Learner
 from cudc_bench.learning.networks import MemberRandom, mlp
 from cudc_bench.learning.recording import NotRepeatableError, Recording, WaitsForDeviceError
 from cudc_bench.learning.replay import Batch, Episodes
+from cudc_bench.settings.evaluate_config import EvaluateConfig
 
 SMALL = {"width": 16, "batch_size": 24, "feature_dim": 12, "learning_rate": 1e-3}
 SHORT = {"prototypes": 12, "queue_size": 24, "neighbours": 3, "projection_hidden": 12}
@@ -358,3 +368,76 @@ def test_what_keeps_a_machine_from_compiling_is_said(monkeypatch: pytest.MonkeyP
         assert found is not None
         assert why in found
     missing_compiler.cache_clear()
+
+
+class Falling(FunctionalGraph):
+    falls_back = True
+
+
+@pytest.fixture
+def as_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine ``compiled`` without waiting for a compiler."""
+    monkeypatch.setattr(engines, "CompiledGraph", Falling)
+    monkeypatch.setattr(engines, "missing_compiler", lambda: None)
+
+
+def test_records_and_manifests_name_their_engine(as_compiled: None, smoke: Path, tmp_path: Path) -> None:
+    curves = {}
+    for engine in ("eager", "compiled", "auto"):
+        options: dict[str, Any] = {"profile": "smoke", "engine": engine, "device": "cpu"}
+        (path,) = cudc_bench.evaluate("td3", tasks=["walk"], output=tmp_path / engine, **options)
+        record = read_record(path)
+        # The run is too short for auto.
+        assert record.machine["engine"] == ("eager" if engine == "auto" else engine)
+        curves[engine] = [one.returns for one in record.curve]
+        for method in ("icm", "random"):
+            cudc_bench.collect(method, dataset_id=f"walker/{method}-{engine}-v0", settings={"steps": 1500}, **options)
+    assert curves["eager"] == curves["auto"]
+    assert curves["compiled"][0] == curves["eager"][0]
+    for first, second in zip(curves["eager"], curves["compiled"], strict=True):
+        assert second == pytest.approx(first, rel=0.05)
+    assert read_manifest("walker/icm-compiled-v0").machine["engine"] == "compiled"
+    assert read_manifest("walker/icm-eager-v0").fingerprint == read_manifest("walker/icm-auto-v0").fingerprint
+    assert "engine" not in read_manifest("walker/random-compiled-v0").machine
+
+
+def test_an_engine_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--engine"):
+        cudc_bench.evaluate("td3", profile="smoke", output=tmp_path, engine="turbo")
+
+
+class Stopping(Arena):
+    """Stops a run at its evaluation after so many updates."""
+
+    def __init__(self, stop: int) -> None:
+        super().__init__(BRIEF, ["stand", "walk"])
+        self.stop = stop
+
+    def evaluate(self, agent: Any, seeds: Any, purpose: str, step: int, episodes: int) -> Any:
+        if step == self.stop:
+            raise interrupts.interrupted("")
+        return super().evaluate(agent, seeds, purpose, step, episodes)
+
+
+@pytest.mark.parametrize("works", [True, False], ids=["compiled", "fell back"])
+def test_a_run_goes_on_with_the_engine_that_it_had(works: bool, as_compiled: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=1, final_episodes=1, milestones=(10, 25))
+
+    def fail(*_: Any) -> Any:
+        raise NotRepeatableError("not today")
+
+    def run(stop: int, checkpoints: Checkpoints | None) -> tuple[Any, str]:
+        agent = make("evaluators", "td3", (3, 4))
+        set_engine(agent, "compiled")
+        outcomes = run_evaluation(agent, random_walker_data(1, "stand", (3, 4)), config, Stopping(stop), lambda n: None, (), checkpoints)
+        return outcomes, agent.engine
+
+    with monkeypatch.context() as broken:
+        if not works:
+            broken.setattr(Falling, "capture", fail)
+        whole = run(-1, None)
+        with pytest.raises(interrupts.Interrupted):
+            run(20, Checkpoints(tmp_path, {}, every=0.0))
+    assert whole[1] == ("compiled" if works else "eager")
+    # The compiler works by now; a run that did without it goes on so.
+    assert run(-1, Checkpoints(tmp_path, {}, every=0.0)) == whole
