@@ -262,7 +262,7 @@ def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam
     for parameters in groups.values():
         for parameter in parameters:
             optimiser.state[parameter] = {
-                "step": torch.zeros((), device=device),
+                "step": torch.zeros((), dtype=torch.float32, device=device),
                 "exp_avg": torch.zeros_like(parameter, memory_format=torch.preserve_format),
                 "exp_avg_sq": torch.zeros_like(parameter, memory_format=torch.preserve_format),
             }

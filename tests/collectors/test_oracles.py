@@ -19,6 +19,7 @@ from cudc_bench import plugins
 from cudc_bench.collectors.contract import SPACES
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.seeding import stream_seed
+from tests.learning.precision import in_precision
 from tests.plain import assert_same, doubles, noisy, perturb, trunk_mlp
 
 from .helpers import batch_for, make
@@ -128,7 +129,7 @@ def given(name: str, values: dict[str, Any], seed_steps: int = 4000, updates: in
     collector = make(name, SEEDS, sizes, batch_size=SIZE, feature_dim=FEATURES, learning_rate=RATE, **values)
     perturb(collector, scale=0.1, seed=3)
     collector.updates.fill_(updates)
-    return collector.double()
+    return in_precision(collector, torch.float64)
 
 
 def minibatch(collector: Any, update: int) -> Batch:
@@ -354,7 +355,7 @@ def test_float32_gives_the_same_within_its_rounding(name: str) -> None:
     Distances between neighbours are good to 1e-3 of the largest norm where they are small, and the scores of futures to 1e-5.
     """
     single, double = (given(name, of_a_run(name, {})) for _ in range(2))
-    single.float()
+    in_precision(single, torch.float32)
     found, expected = watch(single), watch(double)
     for collector, dtype in ((single, torch.float32), (double, torch.float64)):
         batch = minibatch(collector, 1)

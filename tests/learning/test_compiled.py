@@ -32,6 +32,8 @@ from cudc_bench.learning.recording import NotRepeatableError, Recording, WaitsFo
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 
+from .precision import in_precision
+
 SMALL = {"width": 16, "batch_size": 24, "feature_dim": 12, "learning_rate": 1e-3}
 SHORT = {"prototypes": 12, "queue_size": 24, "neighbours": 3, "projection_hidden": 12}
 
@@ -84,15 +86,7 @@ def make(kind: str, name: str, seeds: tuple[int, ...] = (1, 2), double: bool = F
         if (threshold := made.measured_by_pilot(config)) is not None:
             config = made.configure("walker", settings, {threshold: 0.5})
         learner = made(Sizes("walker", 24, 6, 1000, 0, 2), config, seeds)
-    return _as_double(learner) if double else learner
-
-
-def _as_double(learner: Any) -> Any:
-    learner.double()
-    for optimiser in learner.optimisers.values():
-        for state in optimiser.state.values():
-            state.update({key: value.double() for key, value in state.items() if key != "step"})
-    return learner
+    return in_precision(learner, torch.float64) if double else learner
 
 
 def updates_of(learner: Any, graph: Callable[[], Graph] | None, double: bool = False) -> Updater:
