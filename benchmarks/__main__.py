@@ -16,8 +16,8 @@ from benchmarks.measure import Row
 from cudc_bench.artefacts.provenance import commit, processor, versions
 from cudc_bench.execution.parallel import cores
 
-NAMES = ("environment", "relabel", "updates", "learners", "engines", "precision", "shares", "growth", "whole", "cuda", "protocol",
-         "checkpoints", "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip
+NAMES = ("environment", "relabel", "updates", "learners", "engines", "kernels", "precision", "shares", "growth", "whole", "cuda",
+         "protocol", "checkpoints", "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip
 
 
 def main() -> None:
