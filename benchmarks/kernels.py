@@ -7,6 +7,7 @@ count for a GPU can only be lower, since it makes one kernel of a list (Adam, sl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import torch
@@ -42,7 +43,7 @@ def run() -> Iterator[Row]:
         learner = make()
         batch = batch_for(learner, learner.config.batch_size)
         plan = learner.prepare()
-        recording = Recording.of(lambda learner=learner, batch=batch, plan=plan: learner.learn(batch, plan), learner.random.values())[0]
+        recording = Recording.of(partial(learner.learn, batch, plan), learner.random.values())[0]
         before = sum(_launches(node.target) for node in recording.graph.graph.nodes if node.op == "call_function") + len(recording.draws)
         metrics.reset()
         # A function that is kept already would not be counted.
