@@ -38,8 +38,9 @@ hypothesis.settings.load_profile("cudc_bench")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what took long the last time that somebody looked."""
+    """Mark what took long the last time that somebody looked, and begin with the longest: alone at the end, they would leave cores idle."""
     slow = slow_tests()
+    items.sort(key=lambda item: item.get_closest_marker("longest") is None)
     for item in items:
         if without_parameters(item.nodeid) in slow:
             item.add_marker("slow")

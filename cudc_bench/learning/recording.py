@@ -83,7 +83,10 @@ class Recorder(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None) -> Any:
         name = func._schema.name
         if name in _WAITING or (name == "aten::index" and any(t.dtype == torch.bool for t in _tensors(args[1]))):
-            raise WaitsForDeviceError(f"{name} has the host wait for the device; an update that does so cannot become a graph")
+            what = f"{name} has the host wait for the device"
+            if name == "aten::lift_fresh":
+                what = "torch.tensor of a number has the host wait for the device (torch.full is filled there)"
+            raise WaitsForDeviceError(f"{what}; an update that does so cannot become a graph")
         call = Call(func, args, kwargs or {}, None)
         self.before(call)
         call.result = func(*args, **call.kwargs)

@@ -44,6 +44,6 @@ class AWAC(ActorCritic):
             better = self.critic(batch.observation, batch.action).amin(-1)
             advantage = better - self.critic(batch.observation, self.sample(batch.observation)).amin(-1)
             weight = (advantage / config.temperature).exp().clamp(max=config.largest_weight)
-        deviation = torch.tensor(config.noise_std, device=self.device).log()
+        deviation = torch.full((), config.noise_std, device=self.device).log()
         likelihood = normal_log_prob(self.actor(batch.observation), batch.action, deviation).sum(-1)
         return -(weight * likelihood).mean(1), {"weight": weight.mean(1)}

@@ -31,6 +31,7 @@ TWO = [*RANDOM, "--set", "steps=6000", "--seeds", "1-2", "--workers", "2"]
 KILLS = {"collect": 12, "evaluate": 6, "relabel": 6, "pilot": 3, "reference": 3, "suite": 2}
 
 
+@pytest.mark.longest
 def test_killed_at_random_moments_a_run_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     """One process for all commands: to import everything, and to make what they start from, takes as long as many kills."""
     command = [sys.executable, "-m", "tests.faults.killing", *(str(word) for pair in KILLS.items() for word in pair)]

@@ -145,8 +145,8 @@ needs_compiler = pytest.mark.skipif(_compiler() is not None, reason="needs a C++
 
 @needs_compiler
 def test_a_compiled_update_is_the_update(own_cache: None, capfd: pytest.CaptureFixture[str]) -> None:
-    """The compiler's code itself, of one learner with slow copies, draws and two members; and what people hear."""
-    learners = [make("evaluators", "td3") for _ in range(2)]
+    """The compiler's code itself, of the smallest learner, with two members; and what people hear."""
+    learners = [make("evaluators", "bc") for _ in range(2)]
     set_engine(learners[1], "compiled")
     runs = [updates_of(learner, graphs_for(learner, torch.device("cpu"))) for learner in learners]
     for step in range(8):
@@ -166,7 +166,7 @@ def test_a_compiled_update_is_the_update(own_cache: None, capfd: pytest.CaptureF
     state = {**state, "networks": {key: value.clone() for key, value in state["networks"].items()}}
     state["optimisers"] = {name: _copied(one) for name, one in state["optimisers"].items()}
     state["random"] = {name: [one.clone() for one in many] for name, many in state["random"].items()}
-    again = make("evaluators", "td3")
+    again = make("evaluators", "bc")
     set_engine(again, "compiled")
     continued = updates_of(again, graphs_for(again, torch.device("cpu")))
     again.load_state_dict(state)

@@ -61,6 +61,7 @@ def records(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.longest
 def test_the_papers_main_study_at_the_smoke_profile(
     cli: Callable, datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
