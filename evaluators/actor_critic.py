@@ -25,6 +25,8 @@ from .base import Evaluator
 class OfflineLearner(Evaluator, Learner):
     """Networks, optimisers and streams of a stack of offline agents, and a count of their updates."""
 
+    stacks_exactly: ClassVar[bool] = True
+
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         super().__init__(observation, action, config, seeds, device)
         self.observation, self.action = observation, action

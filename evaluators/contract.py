@@ -179,6 +179,26 @@ class EvaluatorContract:
         torch.testing.assert_close(pair[1:], alone.act(observation), atol=1e-4, rtol=1e-4)
         assert not torch.allclose(pair[0], pair[1])
 
+    @pytest.mark.parametrize("action", [6, 1])
+    def test_a_member_of_an_exact_stack_is_the_same_to_the_last_bit_as_alone(self, name: str, action: int) -> None:
+        """At a size that is used: small matrices are the work of other kernels."""
+        if not plugins.load("evaluators", name).stacks_exactly:
+            pytest.skip("its members are alone on a CPU")
+        sizes = {"action": action, "width": 128, "batch_size": 128}
+        together, alone = make(name, (5, 6, 7), **sizes), make(name, (7,), **sizes)
+        for step in range(6):
+            batch = batch_for(together, action=action, size=128, seed=step)
+            together.update(batch)
+            own = {key: value[2:] if isinstance(value, torch.Tensor) else value for key, value in vars(batch).items()}
+            alone.update(Batch(**own | {"cache": {}}))
+        state = alone.state_dict()
+        for key, value in together.state_dict()["networks"].items():
+            same = torch.equal(value.chunk(3)[2], state["networks"][key])
+            assert same, f"{key} is not what it is alone: use the layers and optimisers of cudc_bench.learning, or stacks_exactly = False"
+        for rows in (4, 1):
+            observation = torch.randn(3, rows, 24)
+            assert torch.equal(together.act(observation)[2:], alone.act(observation[2:]))
+
     def test_a_graph_of_its_update_does_what_the_update_does(self, name: str) -> None:
         """As on CUDA: nothing but tensors that stay where they are decides what an update does, and it waits for none of them."""
         if not getattr(make(name), "replayable", False):

@@ -141,11 +141,11 @@ class Record(Strict):
         late: the same at the evaluation points shortly before, in the order of their steps. A file without it is of a run that had none, as
             all runs once had.
         metrics: training metrics at the evaluations.
-        seconds: wall time of the whole member's run.
+        seconds: wall time of the run; of several that were trained side by side, each one's equal share.
         versions: of Python and the packages that matter.
         commit: of this project's code, ``None`` when it is not run from a checkout.
         dirty: whether it had local changes.
-        machine: processor, threads, device.
+        machine: processor, threads, device, engine; ``beside``, how many were trained side by side, if more than one.
         command: makes this record again.
         created: UTC time, ISO 8601.
         submission: who handed it in, if it was not made here. A file without it has the form that it always had; programs that do not

@@ -32,6 +32,7 @@ from cudc_bench.learning.recording import NotRepeatableError, Recording
 T = TypeVar("T")
 aten = torch.ops.aten
 _CACHE = "TORCHINDUCTOR_CACHE_DIR"
+_here: dict[str, Callable[[list[Tensor]], Any]] = {}  # what this process has compiled: pure functions, for any tensors of the same shapes
 
 
 class CannotCompileError(Exception):
@@ -107,14 +108,15 @@ def compile_recording(recording: Recording) -> Callable[[], None]:
         CannotCompileError: the compiler does not take it.
         Interrupted: the process was asked to leave meanwhile.
     """
-    known = cache_folder() / "known" / _key(recording)
+    key = _key(recording)
+    known = cache_folder() / "known" / key
     os.environ.setdefault(_CACHE, str(cache_folder()))
     start = time.perf_counter()
     if not known.exists():
         echo("compiling an update for this method, size and machine; it is kept, and most take less than half a minute")
     try:
         with _quiet():
-            compiled = _compiled(recording)
+            compiled = _here[key] if key in _here else _here.setdefault(key, _compiled(recording))
     except Exception as error:  # whatever the compiler raises: single steps remain
         if interrupts.requested():
             # Ctrl-C ends the compilers that it started as well.

@@ -26,6 +26,8 @@ class MemberStack(ABC):
         config_class: the frozen dataclass of hyperparameters; its defaults are those of the paper or code that the class names.
         values: hyperparameters that make a named variant out of the method that it is a subclass of.
         citation: the paper, for lists and tables.
+        stacks_exactly: whether, on a CPU, in one thread and with updates one by one, a member learns and acts the same to the last bit
+            whoever is beside it. Members of others are alone there; the contract battery shows whether it is so.
 
     Attributes:
         config: the hyperparameters.
@@ -36,6 +38,7 @@ class MemberStack(ABC):
     config_class: ClassVar[type]
     values: ClassVar[Mapping[str, Any]] = {}
     citation: ClassVar[str]
+    stacks_exactly: ClassVar[bool] = False
 
     def __init__(self, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         super().__init__()
@@ -86,7 +89,7 @@ class Learner(MemberStack, nn.Module):
 
     def add_optimiser(self, name: str, trained: Sequence[Trainable], learning_rate: float) -> None:
         """One Adam over some modules, under a name."""
-        self.optimisers[name] = adam(trained, learning_rate)
+        self.optimisers[name] = adam(trained, learning_rate, len(self.seeds))
 
     def minimise(self, name: str, loss: Tensor) -> None:
         """One step of the optimiser of that name on the sum of the members' losses (E,)."""

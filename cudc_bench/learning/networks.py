@@ -2,6 +2,9 @@
 
 Parameters are (E, in, out), batches (E, B, dim). Every operation is a batched one, so a member never sees another: with losses summed
 over E, gradients and Adam stay independent. E=1 is the ordinary case. Weights are drawn from each member's own generator.
+
+On a CPU, in one thread and not compiled, a member's numbers are the same to the last bit whoever is beside it. Two kernels round by the
+size of the whole stack, and are therefore called for each member: products with a vector, and Adam (:class:`MemberAdam`).
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -19,6 +22,7 @@ from cudc_bench.settings.seeding import stream_seed
 
 _WIDE = 64  # Narrower products take little time, and values and actions come from them.
 _bf16_products = False
+_members_apart = True
 
 
 @contextmanager
@@ -33,6 +37,17 @@ def bf16_products() -> Iterator[None]:
         _bf16_products = before
 
 
+@contextmanager
+def whole_stacks() -> Iterator[None]:
+    """Within this context optimisers take stacks as a whole on a CPU, too: what is compiled has no use for PyTorch's kernels."""
+    global _members_apart
+    before, _members_apart = _members_apart, False
+    try:
+        yield
+    finally:
+        _members_apart = before
+
+
 class MemberRandom:
     """One random stream for each member, for one purpose.
 
@@ -40,10 +55,14 @@ class MemberRandom:
         seeds: the E members' seeds.
         purpose: what is drawn; streams of different purposes are independent.
         device: where the numbers are drawn.
+
+    Attributes:
+        fold: how many networks of each member have streams here, see :class:`Ensemble`.
     """
 
     def __init__(self, seeds: Sequence[int], purpose: str, device: torch.device | str = "cpu") -> None:
         self.device = torch.device(device)
+        self.fold = 1
         self.generators = [torch.Generator(self.device).manual_seed(stream_seed(seed, purpose)) for seed in seeds]
 
     @property
@@ -100,12 +119,17 @@ class Linear(nn.Module):
                 block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)
         self.weight = nn.Parameter(weight)
         self.bias = nn.Parameter(bias)
+        # A member that is alone has a product of one matrix, which is another kernel's work if it is one with a vector.
+        self._apart = random.fold == 1 and random.count > 1 and random.device.type == "cpu"
 
     def forward(self, x: Tensor) -> Tensor:
         """(E, B, inputs) -> (E, B, outputs)."""
         if _bf16_products and min(self.weight.shape[1:]) >= _WIDE:
             # The sum with the bias is float32 again.
             return torch.bmm(x.bfloat16(), self.weight.bfloat16()) + self.bias
+        if self._apart and 1 in (x.shape[1], self.weight.shape[2]):
+            members = zip(self.bias.split(1), x.split(1), self.weight.split(1), strict=True)
+            return torch.cat([torch.baddbmm(*member) for member in members])
         return torch.baddbmm(self.bias, x, self.weight)
 
 
@@ -200,6 +224,7 @@ class Ensemble(nn.Module):
         super().__init__()
         folded = MemberRandom([], "ensemble", random.device)
         folded.generators = [generator for generator in random.generators for _ in range(size)]
+        folded.fold = size * random.fold
         self.size = size
         self.layers = make(folded)
 
@@ -243,7 +268,34 @@ ModuleT = TypeVar("ModuleT", bound=nn.Module)
 Trainable = nn.Module | nn.Parameter | tuple[nn.Module, float]
 
 
-def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam:
+class MemberAdam(torch.optim.Adam):
+    """A fused Adam that takes each member's numbers on their own on a CPU: PyTorch's kernel rounds the last few of a tensor differently.
+
+    Attributes:
+        members: E.
+    """
+
+    members = 1
+
+    def _init_group(self, group: Any, *lists: list[Tensor]) -> bool:
+        complex_numbers: bool = super()._init_group(group, *lists)
+        parameters, gradients, averages, squares, _, steps = lists
+        if self.members == 1 or not _members_apart or not parameters or parameters[0].device.type != "cpu":
+            return complex_numbers
+        whole = list(zip(parameters, gradients, averages, squares, steps, strict=True))
+        for many in (parameters, gradients, averages, squares, steps):
+            many.clear()
+        for parameter, gradient, average, square, step in whole:
+            rows = self.members if parameter.ndim and parameter.shape[0] % self.members == 0 else 1
+            gradients += gradient.reshape(rows, -1)
+            for many, one in ((parameters, parameter), (averages, average), (squares, square)):
+                many += one.view(rows, -1)
+            # Each of them is counted up, and a parameter's own but once.
+            steps += [step, *(step.clone() for _ in range(rows - 1))]
+        return complex_numbers
+
+
+def adam(trained: Sequence[Trainable], learning_rate: float, members: int = 1) -> MemberAdam:
     """One fused Adam with the default betas over the parameters of some modules; a pair gives a module its own learning rate.
 
     Learning rates are tensors, and the state is there from the start: a graph repeats what it was recorded with.
@@ -256,9 +308,10 @@ def adam(trained: Sequence[Trainable], learning_rate: float) -> torch.optim.Adam
     on_cuda = device.type == "cuda"
     # On a CPU as exact as the number itself.
     rates = {rate: torch.tensor(rate, device=device, dtype=torch.float32 if on_cuda else torch.float64) for rate in groups}
-    optimiser = torch.optim.Adam(
+    optimiser = MemberAdam(
         [{"params": parameters, "lr": rates[rate]} for rate, parameters in groups.items()], fused=True, capturable=on_cuda
     )
+    optimiser.members = members
     for parameters in groups.values():
         for parameter in parameters:
             optimiser.state[parameter] = {

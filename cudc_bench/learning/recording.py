@@ -20,7 +20,7 @@ from torch import Tensor, fx
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
 
-from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.networks import MemberRandom, whole_stacks
 
 T = TypeVar("T")
 Place = tuple[int, int, tuple[int, ...], tuple[int, ...], torch.dtype]
@@ -167,7 +167,7 @@ class Recording:
         before = [stream.state_dict() for stream in streams]
         recorder = _TakingBack()
         try:
-            with recorder:
+            with whole_stacks(), recorder:
                 result = update()
         finally:
             recorder.take_back()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -107,9 +107,9 @@ class Work(Generic[AnyStack]):
     @classmethod
     def plan(
         cls, execution: Execution, command: str, groups: Iterable[Sequence[Member]], left: Collection[Member],
-        stack: Callable[[list[Member]], AnyStack],
+        stack: Callable[[list[Member]], AnyStack], beside: Callable[[Member], int] = lambda _: 1,
     ) -> Work[AnyStack]:  # fmt: skip
-        """Cut members into stacks: each alone on a CPU, where stacks gain nothing; all of a group together on CUDA.
+        """Cut members into stacks: all of a group together on CUDA; on a CPU so few that all processes have work.
 
         Args:
             execution: how they will work.
@@ -117,6 +117,7 @@ class Work(Generic[AnyStack]):
             groups: all members, those together that one stack can hold.
             left: those that there is something to do for.
             stack: makes one of members.
+            beside: with how many at most a member may be in one stack on a CPU, itself included: 1 where that would change its result.
 
         Raises:
             UsageError: as :meth:`check`.
@@ -128,9 +129,9 @@ class Work(Generic[AnyStack]):
             stacks = [whole if (whole := stack(group)).is_interrupted() else stack(part) for group, part in parts]
             processes = 1
         else:
-            stacks = [stack([member]) for group in members for member in group if member in left]
             # The threads of each, and so its result, must not depend on how many are left to do.
             processes = worker_count(execution.workers, sum(map(len, members)))
+            stacks = [stack(part) for part in _parts(members, left, stack, beside, processes)]
         work = cls(execution, stacks, processes)
         work.check(command)
         return work
@@ -164,3 +165,30 @@ class Work(Generic[AnyStack]):
             return []
         jobs = [Job(one.label, total, {"stack": one, "execution": self.execution, **arguments}) for one in self.stacks]
         return run_jobs(job, jobs, unit=unit, workers=self.processes, threads=threads)
+
+
+def begun_together(group: Sequence[Member], stack: Callable[[list[Member]], AnyStack], most: int) -> Iterator[list[Member]]:
+    """Neighbours, up to so many, that were begun in one stack which is not ended."""
+    for size in range(min(most, len(group)), 1, -1):
+        for start in range(len(group) - size + 1):
+            part = list(group[start : start + size])
+            if stack(part).is_interrupted():
+                yield part
+
+
+def _parts(
+    groups: Sequence[list[Member]], left: Collection[Member], stack: Callable[[list[Member]], AnyStack], beside: Callable[[Member], int],
+    processes: int,
+) -> Iterator[list[Member]]:  # fmt: skip
+    """What is left of groups, cut into parts: those that were begun together, and of the rest such that all processes have equal work."""
+    count = sum(member in left for group in groups for member in group)
+    for group in groups:
+        most, waiting = beside(group[0]), [member for member in group if member in left]
+        for begun in begun_together(group, stack, most):
+            if any(member in waiting for member in begun):
+                yield begun
+                waiting = [member for member in waiting if member not in begun]
+        rounds = math.ceil(count / (most * processes))
+        parts = math.ceil(len(waiting) / min(most, math.ceil(count / (rounds * processes)))) if waiting else 0
+        ends = [round(len(waiting) * (part + 1) / parts) for part in range(parts)]
+        yield from (waiting[start:end] for start, end in zip([0, *ends], ends, strict=False))

@@ -20,7 +20,7 @@ from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.engines import engine_of, set_engine
-from cudc_bench.runs.execution import Execution, Work
+from cudc_bench.runs.execution import Execution, Work, begun_together
 from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds
 from cudc_bench.stages import Planned, check_reward
@@ -29,7 +29,7 @@ from ..policies.stored import save_policy
 from .datasets import load_members
 from .loop import Arena, run_evaluation
 from .plans import Wanted, check_plans, check_sizes, make_plans, sizes_of
-from .runs import CHECKPOINTS, Run, Stack, is_recorded, record_of, stackable
+from .runs import CHECKPOINTS, SIDE_BY_SIDE, Run, Stack, is_recorded, record_of, stackable
 
 
 @interrupts.leaving_gracefully()  # also between its stages
@@ -122,10 +122,14 @@ def evaluate(
         for seed in again or (manifest.seed,)
     ]
     left = [run for run in runs if overwrite or not run.is_done()]
+    groups, stack = stackable(runs), partial(Stack, execution)
     for run in runs:
         if run not in left:
             run.tidy()
-    work = Work.plan(execution, "evaluate", stackable(runs), left, partial(Stack, execution))
+    for group in groups:
+        for done in begun_together([run for run in group if run not in left], stack, SIDE_BY_SIDE):
+            stack(done).tidy()
+    work = Work.plan(execution, "evaluate", groups, left, stack, partial(_beside, execution, chosen.threads))
     total = plans[0].loop.gradient_steps
     echo(
         f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(wanted.domains)}: profile {chosen.name}, {len(runs)} runs of"
@@ -138,7 +142,36 @@ def evaluate(
 
 
 def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, reward: str | None, policies: bool) -> None:
-    """Train some members in this process and write their records (the job of :func:`evaluate`)."""
+    """Train some members in this process and write their records (the job of :func:`evaluate`).
+
+    Where one of several breaks down, each is trained alone, so that the others have the records that they would have had without it.
+    """
+    done = 0
+
+    def count(steps: int) -> None:
+        nonlocal done
+        done += steps
+        advance(steps)
+
+    try:
+        _evaluate_members(count, stack, execution, reward, policies)
+    except BrokenDownError:
+        if len(stack.runs) == 1:
+            raise
+        echo(f"{stack.label}: one of them broke down, so that each is trained alone")
+        errors = []
+        for run in stack.runs:
+            advance(-done)
+            done = 0
+            try:
+                _evaluate_members(count, Stack(execution, [run]), execution, reward, policies)
+            except BrokenDownError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0] from None
+
+
+def _evaluate_members(advance: Advance, stack: Stack, execution: Execution, reward: str | None, policies: bool) -> None:
     plan, runs, device = stack.plan, stack.runs, execution.device
     facts = check_domain(runs[0].manifest.domain)
     checkpoints = stack.checkpoints(execution.checkpoint_every)
@@ -166,8 +199,18 @@ def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, re
         for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
             if policies:
                 save_policy(agent, member, run.path)
-            write_record(run.path, record_of(run, outcome, device, engine_of(agent), round(checkpoints.seconds, 1)))
+            write_record(run.path, record_of(run, outcome, device, engine_of(agent), checkpoints.seconds, len(runs)))
         checkpoints.remove()
+
+
+def _beside(execution: Execution, threads: int | None, run: Run) -> int:
+    """How many a run may be trained with in one stack on a CPU, itself included, and have the same record as alone.
+
+    Several threads share a product by the size of a stack, and a compiler makes another function for each size; both round by it.
+    """
+    kind, updates = run.plan.kind, run.plan.loop.gradient_steps
+    is_exact = kind.stacks_exactly and threads == 1 and execution.engine_for(kind, updates) == "eager"
+    return SIDE_BY_SIDE if is_exact else 1
 
 
 def _target(run: Run, execution: Execution) -> LogTarget | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,6 +29,7 @@ from .loop import Outcome
 from .plans import Plan
 
 CHECKPOINTS = ".checkpoints"  # folder in that of the records
+SIDE_BY_SIDE = 4  # trainings on one core at most; see benchmarks/README.md
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,7 @@ class Run:
     def tidy(self) -> None:
         """Remove what a process left that was killed just after it had written the record; nothing if somebody is writing it again."""
         if self.is_untidy():
-            with suppress(RunError), locked(self.lock, ""):
-                Stack(Execution(), [self]).checkpoints().remove()
-            remove_empty_above(self.lock, self.results / CHECKPOINTS)
+            Stack(Execution(), [self]).tidy()
 
 
 @dataclass(frozen=True)
@@ -126,6 +125,9 @@ class Stack:
             + ("" if run.seed == run.manifest.seed else f" training seed {run.seed}")
             for run in self.runs
         ]
+        tasks = [f"/{run.manifest.task}/" for run in self.runs]
+        if len(bases := {name.replace(task, "/") for name, task in zip(names, tasks, strict=True)}) == 1 < len(names):
+            return f"{self.plan.algo}: {bases.pop()} for {', '.join(task.strip('/') for task in tasks)}"
         return f"{self.plan.algo}: {' + '.join(names) if len(names) < 3 else f'{len(names)} datasets'}"
 
     def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
@@ -144,6 +146,15 @@ class Stack:
     def is_interrupted(self) -> bool:
         """Whether these very runs have been begun together and not ended."""
         return self.checkpoints().folder.exists()
+
+    def tidy(self) -> None:
+        """Remove what a process left that was killed just after it had written the records; nothing if somebody is writing one again."""
+        with suppress(RunError), ExitStack() as opened:
+            for run in self.runs:
+                opened.enter_context(locked(run.lock, ""))
+            self.checkpoints().remove()
+        for path in (self.checkpoints().folder, *(run.lock for run in self.runs)):
+            remove_empty_above(path, self.results / CHECKPOINTS)
 
 
 def stackable(runs: Sequence[Run]) -> list[list[Run]]:
@@ -168,7 +179,7 @@ def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Ca
     return result_stands(path, read_record, is_of_it, lambda _: "records another run (other data or settings)")
 
 
-def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: float) -> Record:
+def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: float, beside: int = 1) -> Record:
     """The record of a run.
 
     Args:
@@ -176,7 +187,8 @@ def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: flo
         outcome: what came out.
         device: where it was trained.
         engine: how its updates were carried out.
-        seconds: of work.
+        seconds: of work on it and on those beside it.
+        beside: how many were trained side by side.
     """
     plan, manifest, dataset_id = run.plan, run.manifest, run.dataset
     values = plan.values
@@ -214,11 +226,11 @@ def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: flo
         final=finals[-1],
         late=finals[:-1],
         metrics=[TrainingMetrics(step=step, values=row) for step, row in outcome.metrics],
-        seconds=seconds,
+        seconds=round(seconds / beside, 1),
         versions=versions(),
         commit=head,
         dirty=dirty,
-        machine=machine(device, torch.get_num_threads(), engine),
+        machine=machine(device, torch.get_num_threads(), engine) | ({} if beside == 1 else {"beside": beside}),
         command=command_line("evaluate", options, plan.overrides, "--overwrite"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip
