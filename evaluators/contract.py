@@ -189,7 +189,7 @@ class EvaluatorContract:
         for step in range(6):
             batch = batch_for(together, action=action, size=128, seed=step)
             together.update(batch)
-            own = {key: value[2:] if isinstance(value, torch.Tensor) else value for key, value in vars(batch).items()}
+            own: dict[str, Any] = {key: value[2:] if isinstance(value, torch.Tensor) else value for key, value in vars(batch).items()}
             alone.update(Batch(**own | {"cache": {}}))
         state = alone.state_dict()
         for key, value in together.state_dict()["networks"].items():

@@ -251,7 +251,7 @@ def collect_members(advance: Advance, *, stack: _Stack, execution: Execution) ->
                 final_state=state,
                 pilot=setting.pilot,
                 diagnostics=journal.last | summary,
-                command=_command(setting, seed, one),
+                command=_command(setting, execution, seed, one),
                 **stamp(checkpoints.seconds, execution.device, torch.get_num_threads(), packages, engine),
             )
             write_metadata(dataset / "data", manifest, str(one), _description(facts, setting.method))
@@ -267,8 +267,13 @@ def _description(domain: Domain, method: str) -> str:
     return f"{explored}: the rewards are all 0. {way} rewards from infos/physics.{excluded}"
 
 
-def _command(setting: RunSpec, seed: int, dataset_id: DatasetId) -> str:
-    options = {"--domain": setting.domain, "--method": setting.method, "--seed": str(seed), "--profile": setting.profile}
+def _command(setting: RunSpec, execution: Execution, seed: int, dataset_id: DatasetId) -> str:
+    options = {
+        "--domain": setting.domain,
+        "--method": setting.method,
+        "--seed": str(seed),
+        "--profile": setting.profile,
+    } | execution.options
     if dataset_id != default_id(setting.domain, setting.method, seed):
         options["--dataset-id"] = str(dataset_id)
     return command_line("collect", options, setting.overrides)

@@ -207,7 +207,9 @@ def measure(advance: Advance, *, stack: _Stack, execution: Execution) -> Pilot:
         first_step=first,
         last_step=last,
         command=command_line(
-            "pilot", {"--method": setting.method, "--domain": setting.domain, "--profile": setting.profile}, setting.overrides
+            "pilot",
+            {"--method": setting.method, "--domain": setting.domain, "--profile": setting.profile} | execution.options,
+            setting.overrides,
         ),
         **stamp(checkpoints.seconds, device, torch.get_num_threads(), plugins.package("collectors", setting.method), engine_of(collector)),
     )

@@ -61,6 +61,11 @@ class Execution:
         check_engine(engine, device)
         return cls(device, engine, workers, checkpoint_every, fresh, overwrite, log, folder)
 
+    @property
+    def options(self) -> dict[str, str]:
+        """Of a command that carries its work out like this again: those on which its results depend, where they were asked for."""
+        return {} if self.engine == "auto" else {"--engine": self.engine}
+
     def engine_for(self, kind: type, updates: int) -> str:
         """What a run of so many updates of such a learner is carried out with: ``eager``, ``graph`` (CUDA) or ``compiled``."""
         from cudc_bench.learning.engines import resolve_engine

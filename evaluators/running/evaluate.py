@@ -199,7 +199,7 @@ def _evaluate_members(advance: Advance, stack: Stack, execution: Execution, rewa
         for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
             if policies:
                 save_policy(agent, member, run.path)
-            write_record(run.path, record_of(run, outcome, device, engine_of(agent), checkpoints.seconds, len(runs)))
+            write_record(run.path, record_of(run, outcome, execution, engine_of(agent), checkpoints.seconds, len(runs)))
         checkpoints.remove()
 
 

@@ -309,7 +309,7 @@ def train_members(advance: Advance, *, stack: Stack, execution: Execution, stack
             _train(advance, stack, checkpoints, logs)
         else:
             advance(plan.loop.steps)
-        written = [_put_together(plan, task, stacks, execution.overwrite) for task in stack.tasks]
+        written = [_put_together(plan, task, stacks, execution) for task in stack.tasks]
         if all(written):
             for other in stacks:
                 if set(other.tasks) <= set(stack.tasks):
@@ -359,14 +359,14 @@ def _finished(checkpoints: Checkpoints) -> dict[str, Any] | None:
     return found[0] if found else None
 
 
-def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], overwrite: bool) -> bool:
+def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], execution: Execution) -> bool:
     """Write the reference of a task if all of its trainings are at their end; whichever job is the last to finish one does it.
 
     Returns:
         Whether it is there now.
     """
     with locked(plan.lock(task), f"'{plan.path(task)}'", _PATIENCE):
-        if not overwrite and _done(plan, task):
+        if not execution.overwrite and _done(plan, task):
             return True
         seconds, runs, engines = 0.0, [], set[str]()
         for stack in stacks:
@@ -378,7 +378,12 @@ def _put_together(plan: ReferencePlan, task: str, stacks: Sequence[Stack], overw
             engines.add(there["engine"])
             runs += [run for one, run in zip(stack.members, there["runs"], strict=True) if one.task == task]
         head, dirty = commit()
-        options = {"--domain": plan.domain, "--task": task, "--seeds": format_seeds(plan.seeds), "--profile": plan.profile}
+        options = {
+            "--domain": plan.domain,
+            "--task": task,
+            "--seeds": format_seeds(plan.seeds),
+            "--profile": plan.profile,
+        } | execution.options
         reference = Reference(
             domain=plan.domain,
             task=task,

@@ -179,13 +179,13 @@ def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Ca
     return result_stands(path, read_record, is_of_it, lambda _: "records another run (other data or settings)")
 
 
-def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: float, beside: int = 1) -> Record:
+def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, seconds: float, beside: int = 1) -> Record:
     """The record of a run.
 
     Args:
         run: which.
         outcome: what came out.
-        device: where it was trained.
+        execution: how it was to be trained.
         engine: how its updates were carried out.
         seconds: of work on it and on those beside it.
         beside: how many were trained side by side.
@@ -193,7 +193,7 @@ def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: flo
     plan, manifest, dataset_id = run.plan, run.manifest, run.dataset
     values = plan.values
     head, dirty = commit()
-    options = {"--algo": plan.algo, "--profile": plan.profile}
+    options = {"--algo": plan.algo, "--profile": plan.profile} | execution.options
     usual = default_id(manifest.domain, manifest.method, manifest.seed).for_task(str(manifest.task))
     if dataset_id == str(usual) and not manifest.overrides and manifest.imported is None:
         # Written like this, the command also makes the datasets anew where they are missing.
@@ -230,7 +230,7 @@ def record_of(run: Run, outcome: Outcome, device: str, engine: str, seconds: flo
         versions=versions(),
         commit=head,
         dirty=dirty,
-        machine=machine(device, torch.get_num_threads(), engine) | ({} if beside == 1 else {"beside": beside}),
+        machine=machine(execution.device, torch.get_num_threads(), engine) | ({} if beside == 1 else {"beside": beside}),
         command=command_line("evaluate", options, plan.overrides, "--overwrite"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip

@@ -383,6 +383,8 @@ def test_records_and_manifests_name_their_engine(as_compiled: None, smoke: Path,
         record = read_record(path)
         # The run is too short for auto.
         assert record.machine["engine"] == ("eager" if engine == "auto" else engine)
+        # Who repeats it is to have the same one.
+        assert (f"--engine {engine}" in record.command) == (engine != "auto")
         curves[engine] = [one.returns for one in record.curve]
         for method in ("icm", "random"):
             cudc_bench.collect(method, dataset_id=f"walker/{method}-{engine}-v0", settings={"steps": 1500}, **options)
