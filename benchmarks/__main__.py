@@ -8,6 +8,7 @@ import json
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -30,18 +31,39 @@ def main() -> None:
         parser.error(f"unknown: {', '.join(sorted(unknown))}; allowed: {', '.join(NAMES)}")
     rows: list[Row] = []
     console = Console(width=160)
-    for name in arguments.names or NAMES:
-        console.print(f"measuring {name} …", highlight=False)
-        rows += import_module(f"benchmarks.{name}").run()
-    table = Table(title=f"{processor()}, {cores()} cores, {datetime.now(UTC):%Y-%m-%d}")
+    try:
+        for name in arguments.names or NAMES:
+            console.print(f"measuring {name} …", highlight=False)
+            for row in import_module(f"benchmarks.{name}").run():
+                rows.append(row)
+                console.print(f"  {row.what}: {row.measured}", markup=False, highlight=False)
+                if arguments.json:
+                    arguments.json.write_text(json.dumps(_found(rows), indent=1) + "\n")
+    finally:
+        # What was measured before somebody had no more time is worth as much as before.
+        console.print(_table(rows))
+
+
+def _found(rows: list[Row]) -> dict[str, Any]:
+    return {
+        "processor": processor(), "card": _card(), "cores": cores(), "versions": versions(), "commit": commit()[0],
+        "rows": [dataclasses.asdict(row) for row in rows],
+    }  # fmt: skip
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table(title=f"{_card() or processor()}, {cores()} cores, {datetime.now(UTC):%Y-%m-%d}")
     for column in ("what", "measured", "against", "ratio", "target", "met"):
         table.add_column(column)
     for row in rows:
         table.add_row(row.what, row.measured, row.against, row.ratio, row.target, "yes" if row.met else "NO")
-    console.print(table)
-    if arguments.json:
-        found = {"processor": processor(), "cores": cores(), "versions": versions(), "commit": commit()[0]}
-        arguments.json.write_text(json.dumps(found | {"rows": [dataclasses.asdict(row) for row in rows]}, indent=1) + "\n")
+    return table
+
+
+def _card() -> str | None:
+    import torch
+
+    return torch.cuda.get_device_name() if torch.cuda.is_available() else None
 
 
 if __name__ == "__main__":

@@ -9,14 +9,10 @@ from typing import Any
 import torch
 
 from benchmarks.measure import Row, fastest_interleaved
-from benchmarks.updates import SPACE
+from benchmarks.updates import SPACE, drawing_updates
 from cudc_bench import plugins
 from cudc_bench.collectors import variants
 from cudc_bench.learning.compiled import missing_compiler
-from cudc_bench.learning.cuda_graphs import Updater
-from cudc_bench.learning.engines import graphs_for, set_engine
-from cudc_bench.learning.networks import MemberRandom
-from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.profiles import resolve_profile
 
 EPISODES, TOGETHER = 50, 40  # of the data, and updates that are timed as one
@@ -58,20 +54,7 @@ def _row(name: str, make: Callable[[], Any]) -> Row:
 
 
 def _updates(learner: Any, engine: str) -> Callable[[], None]:
-    random = MemberRandom([1], "replay")
-    skill = getattr(learner, "skill_size", 0)
-    data = Episodes(1, EPISODES, EPISODES * 1000, 24, 6, random, skill=skill, rewards=True)
-    for _ in range(EPISODES):
-        skills = torch.randn(1000, skill) if skill else None
-        data.add(0, torch.randn(1001, 24), torch.rand(1000, 6) * 2 - 1, skills, torch.rand(1000))
-    one = torch.ones(1, dtype=torch.int64)
-
-    def draw(measure: bool) -> Batch:
-        horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following)
-
-    set_engine(learner, engine)
-    update = Updater(learner, draw, random, graphs_for(learner, learner.device))
+    update = drawing_updates(learner, engine, EPISODES)
 
     def together() -> None:
         for _ in range(TOGETHER):

@@ -16,7 +16,10 @@ from cudc_bench.collectors.base import Sizes
 from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
 from cudc_bench.evaluators.base import Evaluator
 from cudc_bench.execution.parallel import cores
-from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.cuda_graphs import Updater
+from cudc_bench.learning.engines import graphs_for, set_engine
+from cudc_bench.learning.networks import MemberRandom
+from cudc_bench.learning.replay import Batch, Episodes
 
 SPACE = Sizes("walker", 24, 6, 1000, 4000, 2)
 SIZE = 1024
@@ -52,6 +55,37 @@ def batch_for(agent: Any, size: int = SIZE) -> Batch:
     return Batch(observation, action, following, horizon, torch.rand(1, size), skill=skill, next_action=next_action)
 
 
+def drawing_updates(learner: Any, engine: str, episodes: int) -> Updater:
+    """Updates as runs make them, minibatches drawn with them, from so many random episodes of each member on the learner's device."""
+    members, device = len(learner.seeds), learner.device
+    random = MemberRandom(list(range(members)), "replay", device)
+    skill = getattr(learner, "skill_size", 0)
+    data = Episodes(members, episodes, episodes * 1000, 24, 6, random, skill=skill, rewards=True)
+    for member in range(members):
+        for _ in range(episodes):
+            skills = torch.randn(1000, skill) if skill else None
+            data.add(member, torch.randn(1001, 24), torch.rand(1000, 6) * 2 - 1, skills, torch.rand(1000))
+    one = torch.ones(members, dtype=torch.int64, device=device)
+
+    def draw(measure: bool) -> Batch:
+        horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
+        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following)
+
+    set_engine(learner, engine)
+    return Updater(learner, draw, random, graphs_for(learner, device))
+
+
+def operations_of(update: Callable[[], object]) -> int:
+    """Floating-point operations of the matrix products of one update, as torch counts them."""
+    # Some move their actors in every second update only: two make one of each kind.
+    for _ in range(2):
+        update()
+    with FlopCounterMode(display=False) as counter:
+        for _ in range(2):
+            update()
+    return int(counter.get_total_flops()) // 2
+
+
 def run() -> Iterator[Row]:
     """Plain DDPG, and every collector that learns, without the variants, which are other settings of these; at E=1."""
     # Of several names for one class the first is kept.
@@ -70,13 +104,7 @@ def compare(agents: dict[str, Any], what: str) -> Iterator[Row]:
     operations: dict[str, int] = {}
     for name, agent in agents.items():
         updates[name] = partial(agent.update, batch_for(agent, agent.config.batch_size))
-        # Some move their actors in every second update only: two make one of each kind.
-        for _ in range(2):
-            updates[name]()
-        with FlopCounterMode(display=False) as counter:
-            for _ in range(2):
-                updates[name]()
-        operations[name] = counter.get_total_flops() // 2
+        operations[name] = operations_of(updates[name])
     best_peak = peak()
     pairs: list[Callable[[], object]] = [partial(_twice, update) for update in updates.values()]
     times = {name: seconds / 2 for name, seconds in zip(updates, fastest_interleaved(pairs, rounds=8), strict=True)}
