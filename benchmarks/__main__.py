@@ -21,12 +21,16 @@ NAMES = ("environment", "relabel", "updates", "learners", "engines", "kernels", 
          "protocol", "checkpoints", "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip
 
 
-def main() -> None:
-    """Run the named benchmarks, all by default."""
+def main(words: list[str] | None = None) -> list[Row]:
+    """Run the named benchmarks, all by default, and return the table's rows.
+
+    Args:
+        words: of the command line, this process's own by default.
+    """
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure speed as ratios in one run.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"what to measure: {', '.join(NAMES)}; all by default")
     parser.add_argument("--json", type=Path, help="also write the rows to this file")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     if unknown := set(arguments.names) - set(NAMES):
         parser.error(f"unknown: {', '.join(sorted(unknown))}; allowed: {', '.join(NAMES)}")
     rows: list[Row] = []
@@ -42,6 +46,7 @@ def main() -> None:
     finally:
         # What was measured before somebody had no more time is worth as much as before.
         console.print(_table(rows))
+    return rows
 
 
 def _found(rows: list[Row]) -> dict[str, Any]:

@@ -38,8 +38,16 @@ hypothesis.settings.load_profile("cudc_bench")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what took long the last time that somebody looked, and begin with the longest: alone at the end, they would leave cores idle."""
+    """Mark what took long the last time that somebody looked, and begin with the longest: alone at the end, they would leave cores idle.
+
+    What needs a GPU is left out where there is none.
+    """
     slow = slow_tests()
+    if on_gpus := [item for item in items if item.get_closest_marker("cuda") is not None]:
+        import torch
+
+        for item in () if torch.cuda.is_available() else on_gpus:
+            item.add_marker(pytest.mark.skip(reason="needs CUDA"))
     items.sort(key=lambda item: item.get_closest_marker("longest") is None)
     for item in items:
         if without_parameters(item.nodeid) in slow:

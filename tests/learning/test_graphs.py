@@ -20,8 +20,6 @@ from cudc_bench.learning.networks import MemberRandom, mlp
 from cudc_bench.learning.recording import WaitsForDeviceError
 from cudc_bench.learning.replay import Batch, Episodes
 
-CUDA = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-
 
 class Regression(Learner):
     """Predicts an action from an observation; every third update does so with half the weight."""
@@ -167,52 +165,54 @@ def no_waiting() -> Iterator[None]:
         torch.cuda.set_sync_debug_mode("default")
 
 
-def learners(device: str) -> Iterator[tuple[str, Callable[[], Any], int]]:
-    """Each collector and each evaluator that learns: its name, what makes it, and its skills' size."""
+LEARNERS = [
+    (kind, name)
+    for kind in ("collectors", "evaluators")
+    for name in plugins.names(kind)
+    if getattr(plugins.load(kind, name), "learns", True)
+]
+
+
+def made(kind: str, name: str, device: str) -> Any:
+    """A small learner with two members."""
     small = {"width": 32, "batch_size": 64, "feature_dim": 16, "learning_rate": 1e-3}
-    for name in plugins.names("collectors"):
-        kind = plugins.load("collectors", name)
-        if kind.learns:
-            config = kind.configure("walker", small)
-            if (threshold := kind.measured_by_pilot(config)) is not None:
-                config = kind.configure("walker", small, {threshold: 0.5})
-
-            def make(kind: Any = kind, config: Any = config) -> Any:
-                return kind(Sizes("walker", 24, 6, 1000, 0, 2), config, [1, 2], device)
-
-            yield name, make, make().skill_size
-    for name in plugins.names("evaluators"):
-        kind = plugins.load("evaluators", name)
-        yield name, lambda kind=kind: kind(24, 6, kind.configure(small), [1, 2], device), 0
+    learner = plugins.load(kind, name)
+    if kind == "evaluators":
+        return learner(24, 6, learner.configure(small), [1, 2], device)
+    config = learner.configure("walker", small)
+    if (threshold := learner.measured_by_pilot(config)) is not None:
+        config = learner.configure("walker", small, {threshold: 0.5})
+    return learner(Sizes("walker", 24, 6, 1000, 0, 2), config, [1, 2], device)
 
 
-@CUDA
-def test_on_a_gpu_graphs_equal_single_steps_and_nothing_waits() -> None:
-    for name, make, skill in learners("cuda"):
-        found = []
-        for graphed in (False, True):
-            learner = make()
-            random = MemberRandom([1, 2], "replay", "cuda")
-            episodes = Episodes(2, 2, 160, 24, 6, random, skill=skill)
-            g = torch.Generator().manual_seed(0)
-            for member in (0, 1):
-                for _ in range(2):
-                    skills = torch.rand(80, skill, generator=g) if skill else None
-                    episodes.add(member, torch.randn(81, 24, generator=g), torch.rand(80, 6, generator=g), skills)
-            episodes.rewards = torch.rand(2, 160, generator=g).cuda()
+@pytest.mark.cuda
+@pytest.mark.parametrize(("kind", "name"), LEARNERS)
+def test_on_a_gpu_graphs_equal_single_steps_and_nothing_waits(kind: str, name: str) -> None:
+    found = []
+    for graphed in (False, True):
+        learner = made(kind, name, "cuda")
+        skill = getattr(learner, "skill_size", 0)
+        random = MemberRandom([1, 2], "replay", "cuda")
+        episodes = Episodes(2, 2, 160, 24, 6, random, skill=skill)
+        g = torch.Generator().manual_seed(0)
+        for member in (0, 1):
+            for _ in range(2):
+                skills = torch.rand(80, skill, generator=g) if skill else None
+                episodes.add(member, torch.randn(81, 24, generator=g), torch.rand(80, 6, generator=g), skills)
+        episodes.rewards = torch.rand(2, 160, generator=g).cuda()
 
-            def draw(measure: bool, episodes: Episodes = episodes, learner: Any = learner) -> Batch:
-                horizon = getattr(learner, "horizon", torch.ones(2, dtype=torch.int64, device="cuda"))
-                return episodes.sample(
-                    64, horizon, measure, getattr(learner, "min_horizon", None), getattr(learner, "wants_next_action", False)
-                )
+        def draw(measure: bool, episodes: Episodes = episodes, learner: Any = learner) -> Batch:
+            horizon = getattr(learner, "horizon", torch.ones(2, dtype=torch.int64, device="cuda"))
+            return episodes.sample(
+                64, horizon, measure, getattr(learner, "min_horizon", None), getattr(learner, "wants_next_action", False)
+            )
 
-            updates = Updater(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
-            for _ in range(2 * WARM_UP + 2):
+        updates = Updater(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
+        for _ in range(2 * WARM_UP + 2):
+            updates(False)
+        with no_waiting():
+            for _ in range(20):
                 updates(False)
-            with no_waiting():
-                for _ in range(20):
-                    updates(False)
-            found.append({key: value.cpu() for key, value in torch.nn.Module.state_dict(learner).items()})
-        for key, value in found[0].items():
-            torch.testing.assert_close(found[1][key], value, atol=1e-4, rtol=1e-3, msg=lambda m, name=name, key=key: f"{name} {key}: {m}")
+        found.append({key: value.cpu() for key, value in torch.nn.Module.state_dict(learner).items()})
+    for key, value in found[0].items():
+        torch.testing.assert_close(found[1][key], value, atol=1e-4, rtol=1e-3, msg=lambda m, key=key: f"{key}: {m}")
