@@ -11,7 +11,7 @@ KILLS ?= 200
 TESTERS ?= $(shell $(PYTHON) -c 'import os; print(1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast slow lint format screenshots bench torture mutants docs wheel-check clean
+.PHONY: help setup demo test test-fast slow lint format screenshots bench gpu-bundle torture mutants docs wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -60,6 +60,10 @@ screenshots: setup  ## Take pictures of the site over RECORDS, for the README: b
 
 bench: setup  ## Measure speed as ratios and print a table; see benchmarks/README.md.
 	$(BIN)/python -m benchmarks
+
+PYTHON_VERSION ?= $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+gpu-bundle: setup  ## Put all that a machine with a GPU and without a network needs into one archive: build/gpu-bundle. PYTHON_VERSION=3.12 is there.
+	$(BIN)/python -m benchmarks.gpu.bundle --python $(PYTHON_VERSION)
 
 torture: setup  ## Kill real runs 200 times each and compare what comes out; start one twice at the same moment, 50 times.
 	@for what in collect "collect with skills" evaluate relabel pilot; do \

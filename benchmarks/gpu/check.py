@@ -101,8 +101,8 @@ def parts(device: str, output: Path) -> tuple[list[Part], list[Part]]:
         Part(f"compile {name} x {members}", (*one, "compile", name, str(members)), 100 * slower, single)
         for name, members in (CASES if device == "cuda" else ())
     ]
-    pytest = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "3", "-m", "cuda")
-    together.append(Part("tests", (*pytest, *tests()), 120 * slower, single))
+    pytest = ("-m", "pytest", "-p", "no:cacheprovider", "-n", "3", "-m", "cuda")
+    together.append(Part("tests", (*pytest, *gpu_tests()), 120 * slower, single))
     for engine in reversed(ENGINES[device]):
         for kind in ("collectors", "evaluators"):
             names = chosen(kind, engine, small)
@@ -120,7 +120,7 @@ def parts(device: str, output: Path) -> tuple[list[Part], list[Part]]:
     return together, alone
 
 
-def tests() -> list[str]:
+def gpu_tests() -> list[str]:
     """Files with tests that need a GPU."""
     found = [path for path in sorted(PROJECT.glob("tests/**/test_*.py")) if "pytest.mark.cuda" in path.read_text()]
     return [str(path.relative_to(PROJECT)) for path in found]
