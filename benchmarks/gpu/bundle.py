@@ -38,7 +38,7 @@ LEFT_OUT = {
     "pandas": "tables of the leaderboard, which are made where the records go",
     "matplotlib": "figures of the leaderboard",
     "labmaze": "mazes of dm_control's locomotion",
-    "setuptools": "with which dm_control is built",
+    "setuptools": "PyTorch has it beside itself",
 }
 TESTING = ("pytest", "pytest-xdist", "hypothesis")  # of what development needs
 # Folders and files of packages that nothing here imports, by their beginnings; tests of all packages go as well.

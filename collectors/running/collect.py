@@ -37,7 +37,7 @@ from cudc_bench.settings.seeds import check_seeds, format_seeds
 from cudc_bench.stages import Planned
 
 from .dataset_sink import DatasetSink
-from .loop import run_collection
+from .loop import rehearse_collection, run_collection
 from .run_spec import NoThresholdError, RunSpec, echo_whose_values, resolve
 
 
@@ -186,6 +186,11 @@ class _Stack:
             **origin(plugins.package("collectors", setting.method)),
         }  # fmt: skip
         return Checkpoints(checkpoints_path(self.members[0][1]), decisive, every)
+
+    def rehearse(self, members: int) -> None:
+        collector = self.setting.kind(self.setting.sizes, self.setting.config, self.seeds[:members], self.execution.device)
+        set_engine(collector, self.engine)
+        rehearse_collection(collector, self.setting.loop, check_domain(self.setting.domain))
 
     def is_interrupted(self) -> bool:
         try:

@@ -109,6 +109,12 @@ def run_collection(
     _Run(collector, config, domain, sinks, callback).run(advance, checkpoints)
 
 
+def rehearse_collection(collector: Collector, config: CollectConfig, domain: Domain) -> None:
+    """Take the memory that a collection takes, by a few updates on made-up data."""
+    set_precision(collector, config.precision)
+    _Run(collector, config, domain, [], None).rehearse()
+
+
 class _Run(Interaction):
     """A run after some steps. The arguments are those of :func:`run_collection`."""
 

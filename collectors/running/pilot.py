@@ -35,7 +35,7 @@ from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.settings.profiles import Profile, resolve_profile
 
 from .dataset_sink import DatasetSink
-from .loop import run_collection
+from .loop import rehearse_collection, run_collection
 from .run_spec import RunSpec, resolve
 from .thresholds import read_thresholds, settings_key, thresholds_path, write_thresholds
 
@@ -142,6 +142,15 @@ class _Stack:
     @property
     def last(self) -> int:
         return round(LAST * self.setting.loop.steps)
+
+    @property
+    def seeds(self) -> list[int]:
+        return [SEED]
+
+    def rehearse(self, members: int) -> None:
+        collector = self.setting.kind(self.setting.sizes, self.setting.config, self.seeds[:members], self.execution.device)
+        set_engine(collector, self.engine)
+        rehearse_collection(collector, replace(self.setting.loop, steps=self.last), check_domain(self.setting.domain))
 
     @property
     def name(self) -> str:

@@ -116,7 +116,8 @@ class _Captured(Generic[T]):
         before = None if self._learner is None else copy.deepcopy(self._learner.state_dict())
         try:
             result = self._graph.capture(function, self._random)
-        except interrupts.Interrupted:
+        except (interrupts.Interrupted, torch.OutOfMemoryError):
+            # Of the second the update is not to blame, and whoever hears of it says how many members would fit.
             raise
         except Exception as error:  # of whatever kind: done one by one the update works, or says itself what is wrong
             why: tuple[str, Exception | None] = (str(error).splitlines() or [type(error).__name__])[0], error
@@ -192,6 +193,13 @@ class Updater:
         """Take updates up as a run did that is continued: one by one if it could not do otherwise."""
         if engine == "eager" and self._make is not None:
             self._learner.engine, self._make = engine, None
+
+
+def rehearse(update: Updater) -> None:
+    """So many updates that all graphs are captured, and one that measures itself: what they take, later ones take again."""
+    update(True)
+    for _ in range(2 * (WARM_UP + 2)):  # some have two plans, in turns
+        update(False)
 
 
 class ActionRunner:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -13,6 +14,7 @@ from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.parallel import Job, run_jobs, worker_count
 from cudc_bench.execution.runlog import check_log
+from cudc_bench.runs.memory import Rehearsing, within_memory
 from cudc_bench.settings.profiles import resolve_device
 
 
@@ -73,7 +75,7 @@ class Execution:
         return resolve_engine(self.engine, kind, self.device, updates)
 
 
-class Stack(Protocol):
+class Stack(Rehearsing, Protocol):
     """Members that one process learns with side by side."""
 
     @property
@@ -163,13 +165,13 @@ class Work(Generic[AnyStack]):
             arguments: the same for all.
 
         Raises:
-            RunError: one failed, or its process died.
+            RunError: one failed, or its process died, or a GPU has too little memory for a stack.
             Interrupted: they were asked to leave.
         """
         if not self.stacks:
             return []
         jobs = [Job(one.label, total, {"stack": one, "execution": self.execution, **arguments}) for one in self.stacks]
-        return run_jobs(job, jobs, unit=unit, workers=self.processes, threads=threads)
+        return run_jobs(partial(within_memory, job), jobs, unit=unit, workers=self.processes, threads=threads)
 
 
 def begun_together(group: Sequence[Member], stack: Callable[[list[Member]], AnyStack], most: int) -> Iterator[list[Member]]:

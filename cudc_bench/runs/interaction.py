@@ -20,7 +20,7 @@ from cudc_bench.errors import UnusableError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.learning.checks import check_actions, check_simulated
-from cudc_bench.learning.cuda_graphs import ActionRunner, Updater
+from cudc_bench.learning.cuda_graphs import ActionRunner, Updater, rehearse
 from cudc_bench.learning.engines import engine_of, graphs_for
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
@@ -156,6 +156,19 @@ class Interaction(ABC):
         Raises:
             Interrupted: the process was asked to leave; what was begun here leaves no trace.
         """
+
+    def rehearse(self) -> None:
+        """Learn a little from one made-up episode of each member, which takes the memory that a run takes, and spoils this one."""
+        if self.replay is None:
+            return
+        length, skills, rewards = self.domain.episode_length, self.replay.skills, self.replay.rewards
+        observations, actions = torch.zeros(length + 1, self.domain.observation_size), torch.zeros(length, self.domain.action_size)
+        for member in range(len(self._seeds)):
+            self.replay.add(
+                member, observations, actions, None if skills is None else torch.zeros(length, skills.shape[2]),
+                None if rewards is None else torch.zeros(length),
+            )  # fmt: skip
+        rehearse(self._update)
 
     # The fixed sequence
 

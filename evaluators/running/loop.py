@@ -19,7 +19,7 @@ from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.parallel import cores, torch_threads
 from cudc_bench.execution.runlog import RunLog
 from cudc_bench.learning.checks import check_actions, check_simulated, member_rows
-from cudc_bench.learning.cuda_graphs import Updater
+from cudc_bench.learning.cuda_graphs import Updater, rehearse
 from cudc_bench.learning.engines import engine_of, graphs_for
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Episodes
@@ -224,6 +224,22 @@ class Arena:
             self._simulators += kept[:size]
 
 
+def rehearse_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig) -> None:
+    """Take the memory that a training takes, by a few updates."""
+    rehearse(_updates(agent, data, config))
+
+
+def _updates(agent: Evaluator, data: Episodes, config: EvaluateConfig) -> Updater:
+    set_precision(agent, config.precision)
+    horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
+    return Updater(
+        agent,
+        lambda measure: data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action),
+        data.random,
+        graphs_for(agent, agent.device),
+    )
+
+
 def run_evaluation(
     agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None], logs: Sequence[RunLog] = (),
     checkpoints: Checkpoints | None = None,
@@ -246,14 +262,7 @@ def run_evaluation(
         RunError: training diverged (a metric is not finite), or a simulation did.
         Interrupted: the process was asked to leave; the state is kept.
     """
-    set_precision(agent, config.precision)
-    horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
-    updates = Updater(
-        agent,
-        lambda measure: data.sample(agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action),
-        data.random,
-        graphs_for(agent, agent.device),
-    )
+    updates = _updates(agent, data, config)
     ledger = Ledger(len(agent.seeds), logs)
     points, final_points = set(config.points), set(config.final_points)
 

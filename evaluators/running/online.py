@@ -73,6 +73,12 @@ def run_online(
     return run.ledger.outcomes
 
 
+def rehearse_online(agent: Evaluator, config: OnlineConfig, domain: Domain, tasks: Sequence[str]) -> None:
+    """Take the memory that such a training takes, by a few updates on made-up data."""
+    set_precision(agent, config.precision)
+    _Run(agent, config, domain, tasks, Arena(domain, tasks), [], Ledger(len(agent.seeds))).rehearse()
+
+
 class _Run(Interaction):
     """A run after some steps. The arguments are those of :func:`run_online`."""
 

@@ -38,7 +38,7 @@ from cudc_bench.settings.seeds import check_seeds, format_seeds
 
 from ..td3 import TD3, TD3Config
 from .loop import Actor, Arena, Outcome
-from .online import run_online
+from .online import rehearse_online, run_online
 from .runs import CHECKPOINTS
 
 _PATIENCE = 60.0  # seconds; whoever holds the lock writes a file
@@ -149,6 +149,13 @@ class Stack:
             "device": plan.device, "engine": plan.engine, **origin({}),
         }  # fmt: skip
         return Checkpoints(self.folder, decisive, every)
+
+    def rehearse(self, members: int) -> None:
+        """See :class:`~cudc_bench.runs.memory.Rehearsing`."""
+        facts = check_domain(self.plan.domain)
+        agent = TD3(facts.observation_size, facts.action_size, self.plan.config, self.seeds[:members], self.plan.device)
+        set_engine(agent, self.plan.engine)
+        rehearse_online(agent, self.plan.loop, facts, [one.task for one in self.members[:members]])
 
     def is_interrupted(self) -> bool:
         """Whether these very members have been begun and not ended."""

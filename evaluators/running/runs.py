@@ -15,17 +15,20 @@ from cudc_bench.artefacts.ids import default_id
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
+from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.files import remove_empty_above
+from cudc_bench.learning.engines import set_engine
 from cudc_bench.runs.execution import Execution
 from cudc_bench.runs.existing import result_stands
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import in_full
 
-from .loop import Outcome
+from .datasets import load_members
+from .loop import Outcome, rehearse_evaluation
 from .plans import Plan
 
 CHECKPOINTS = ".checkpoints"  # folder in that of the records
@@ -142,6 +145,14 @@ class Stack:
             return Checkpoints(self.runs[0].hidden, decisive, every)
         places = [run.path.relative_to(self.results).with_suffix("").as_posix() for run in self.runs]
         return Checkpoints(self.results / CHECKPOINTS / f"stacks/{plan.algo}-{config_hash({'records': places})}", decisive, every)
+
+    def rehearse(self, members: int) -> None:
+        """See :class:`~cudc_bench.runs.memory.Rehearsing`."""
+        plan, runs, seeds, device = self.plan, self.runs[:members], self.seeds[:members], self.execution.device
+        facts = check_domain(runs[0].manifest.domain)
+        agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
+        set_engine(agent, self.engine)
+        rehearse_evaluation(agent, load_members([run.dataset for run in runs], seeds, device, runs[0].used), plan.loop)
 
     def is_interrupted(self) -> bool:
         """Whether these very runs have been begun together and not ended."""
