@@ -17,7 +17,7 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG, drawing_updates, operations_of
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.learning.cuda_graphs import Updater
+from cudc_bench.learning.cuda_graphs import WARM_UP, Updater
 from cudc_bench.learning.engines import engine_of
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.settings.config import Precision
@@ -151,7 +151,7 @@ def _by_engine(name: str, members: int, precision: Precision, engine: str) -> tu
 
 def _milliseconds(update: Callable[[], object], rounds: int = 2) -> float:
     """Of one call: of several rounds that take about as long as SECONDS the fastest. The first calls, which capture, are not timed."""
-    for _ in range(8):
+    for _ in range(2 * (WARM_UP + 2)):  # some have two plans, in turns
         update()
     count = 1 + int(SECONDS / _seconds(update, 5) * 5)
     return min(_seconds(update, count) for _ in range(rounds)) / count * 1e3

@@ -18,7 +18,7 @@ from typing import Any
 
 SKIPPED = 77
 ENGINES = {"cuda": ("eager", "graph", "compiled"), "cpu": ("eager", "compiled")}
-HALF = {"steps": 5_000, "seed_steps": 1_000, "update_every": 10}  # of a collection that is interrupted in its middle
+LONGER = {"steps": 5_000, "seed_steps": 1_000, "update_every": 10}  # of a collection that is interrupted in its middle
 SHORT = {"evaluate_every": 200, "milestones": [200, 400], "evaluation_episodes": 1, "final_episodes": 1}
 
 
@@ -117,12 +117,12 @@ def repeat(device: str) -> list[str]:
 def resume(device: str) -> list[str]:
     """A collection and a training that are interrupted in their middle and continued give what they give uninterrupted."""
     with in_folder("whole"):
-        whole = _collected(device, HALF) + _trained(device)
+        whole = _collected(device, LONGER) + _trained(device)
     with in_folder("interrupted"):
-        for work in (lambda: _collected(device, HALF), lambda: _trained(device)):
+        for work in (lambda: _collected(device, LONGER), lambda: _trained(device)):
             if not _interrupt(work):
                 return ["it could not be interrupted"]
-        continued = _collected(device, HALF) + _trained(device)
+        continued = _collected(device, LONGER) + _trained(device)
     print(f"data {whole[0][:12]}, interrupted and not")
     return [] if continued == whole else [f"the interrupted run came out differently: {whole}, {continued}"]
 
@@ -146,7 +146,8 @@ def _trained(device: str) -> list[Any]:
 
 
 def _interrupt(work: Callable[[], object]) -> bool:
-    """Ask this process to leave when half of its work is done; whether it left."""
+    """Ask this process to leave in the middle of its work, which is that of the first member where they work one after another; whether it
+    left."""
     from cudc_bench.execution.interrupts import Interrupted
     from cudc_bench.execution.progress import listening
 
@@ -155,7 +156,7 @@ def _interrupt(work: Callable[[], object]) -> bool:
     def ask(done: int, total: int) -> None:
         nonlocal asked
         # Datasets of the untrained are made on the way, and not interrupted.
-        if not asked and total in (2 * HALF["steps"], HALF["steps"], 400, 800) and done >= total / 2:
+        if not asked and total in (2 * LONGER["steps"], LONGER["steps"], 400, 800) and done >= 0.3 * total:
             asked = True
             os.kill(os.getpid(), signal.SIGTERM)
 
@@ -206,10 +207,11 @@ def paper(device: str, small: bool) -> list[str]:
 def compile_updates(name: str, members: int) -> None:
     """Have the updates compiled that the benchmark will measure."""
     from benchmarks.cuda import PRECISIONS, updates_on_card
+    from cudc_bench.learning.cuda_graphs import rehearse
 
     for precision in PRECISIONS:
         start = time.perf_counter()
-        updates_on_card(name, members, precision, "compiled")[1](False)
+        rehearse(updates_on_card(name, members, precision, "compiled")[1])
         print(f"{name} x {members} {precision}: {time.perf_counter() - start:.0f} s", flush=True)
 
 
