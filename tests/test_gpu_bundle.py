@@ -174,14 +174,24 @@ def test_how_a_part_ended(code: int | None, text: str, state: str, said: str) ->
     assert (result.state, result.said) == (state, said)
 
 
+WAITING = """
+try:
+    print("begun", flush=True)
+    time.sleep(60)
+finally:
+    print("so many rows")
+"""
+
+
 def test_parts_that_fail_or_take_too_long_do_not_end_the_others(tmp_path: Path) -> None:
     some = [
-        Part("slow", ("-c", "print('waiting', flush=True); import time; time.sleep(60)"), 0.5),
+        Part("slow", ("-c", f"import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler){WAITING}"), 1.0),
         Part("broken", ("-c", "raise SystemExit('no')"), 20),
         Part("fine, 1 of 1", ("-c", "import os; print(os.environ['MINARI_DATASETS_PATH'])"), 20),
     ]
     results = carry_out(some, [Part("last", ("-c", "print('done')"), 20)], tmp_path, 60)
     assert [(one.name, one.state) for one in results] == [("slow", "failed"), ("broken", "failed"), ("fine, 1 of 1", "ok"), ("last", "ok")]
+    assert "so many rows" in (tmp_path / "slow.log").read_text()
     assert results[2].said.endswith("fine-1-of-1/datasets")
     assert (tmp_path / "broken.log").read_text() == "no\n"
     late = carry_out(some[2:], [], tmp_path, 0)

@@ -30,6 +30,7 @@ from cudc_bench.execution.progress import bars, echo
 PROJECT = Path(__file__).resolve().parents[2]
 SECONDS = {"cuda": 240, "cpu": 3600}  # in all
 SLOWER = {"cuda": 1, "cpu": 15}  # so many times a part's limit
+GRACE = 3  # seconds in which a part whose time is over may say what it has
 SHARES = {"eager": 3, "graph": 3, "compiled": 4}  # processes among which the learners of a kind are cut up
 _running: set[subprocess.Popen[bytes]] = set()
 
@@ -114,8 +115,8 @@ def parts(device: str, output: Path) -> tuple[list[Part], list[Part]]:
     together += [Part(name, (*one, name, *options), 90 * slower, single) for name in ("resume", "repeat")]
     together.append(Part("doctor", ("-m", "cudc_bench.cli", "doctor"), 40 * slower))
     alone = [
-        Part("paper", (*one, "paper", *options), 70 * slower),
-        Part("speed", (*one, "speed", str(output / "speed.json")), 110 * slower),
+        Part("speed", (*one, "speed", str(output / "speed.json")), 100 * slower),
+        Part("paper", (*one, "paper", *options), 60 * slower),
     ]
     return together, alone
 
@@ -174,6 +175,10 @@ def attempt(part: Part, output: Path, work: Path, left: float) -> Result:
             code: int | None = process.wait(limit)
         except subprocess.TimeoutExpired:
             code = None
+            # As Ctrl-C does: what was measured until now is shown.
+            process.send_signal(signal.SIGINT)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(GRACE)
         finally:
             _kill(process)
             _running.discard(process)

@@ -31,6 +31,8 @@ def main() -> None:
     parser.add_argument("--engine", default="eager")
     parser.add_argument("--small", action="store_true", help="so little that a CPU can do it")
     given = parser.parse_args()
+    # Also where a shell started all of this in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if given.part == "learners":
         kind, *names = given.names
         end(learners(kind, names, given.device, given.engine))
