@@ -1,4 +1,5 @@
-"""``--precision bf16`` against float32, at the paper's size and on all cores."""
+"""``--precision bf16`` against float32: updates at the paper's size, on all cores, and of what they consist, one layer's product, in one
+thread, with the rounding of its factors to bfloat16 and without."""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from benchmarks.updates import SPACE, PlainDDPG, batch_for
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
 from cudc_bench.execution.parallel import cores
+from cudc_bench.learning.bf16 import ROWS, slowdown
 from cudc_bench.learning.learner import set_precision
 
 TARGET = 1.7
@@ -40,6 +42,12 @@ def run() -> Iterator[Row]:
         ratio = exact / coarse
         what = f"{name} update, 1024 x 1024, bf16"
         yield Row(what, f"{coarse * 1e3:.0f} ms", f"float32 {exact * 1e3:.0f} ms", f"{ratio:.2f}x", target, not target or ratio >= TARGET)
+    for width in (128, 256, 1024):
+        rows = min(width, ROWS)
+        whole, product = (1 / slowdown(rows, width, rounded) for rounded in (False, True))
+        what = f"a product, {rows} x {width} and {width} x {width}, bf16"
+        yield Row(what, "rounding included", "float32", f"{whole:.2f}x", "", False)
+        yield Row(what, "factors rounded before", "float32", f"{product:.2f}x", "", False)
 
 
 def _multiplies_bf16() -> bool:

@@ -27,6 +27,7 @@ from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder
+from cudc_bench.learning.bf16 import echo_if_slower
 from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.runs.execution import Execution, Work
@@ -119,6 +120,7 @@ def collect(
         f"collect {method} on {domain}: profile {chosen.name}, seeds {format_seeds(seeds)}, {setting.loop.steps:,} steps each,"
         f" {execution.device}"
     )
+    echo_if_slower(setting.loop.precision, setting.config, work.stacks[0].engine, execution.device)
     work.carry_out(collect_members, unit="steps", total=setting.loop.steps, threads=chosen.threads)
     for stack in work.stacks:
         for _, one in stack.members:

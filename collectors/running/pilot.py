@@ -28,6 +28,7 @@ from cudc_bench.execution.parallel import worker_count
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.files import check_file, remove_empty, unwritable
+from cudc_bench.learning.bf16 import echo_if_slower
 from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.replay import Batch
@@ -97,6 +98,8 @@ def pilot(
         f"pilot of {', '.join(one.method for one in found)} on {domain}: profile {chosen.name}, seed {SEED}, {last:,} steps each,"
         f" {execution.device}"
     )
+    for stack in stacks:
+        echo_if_slower(stack.setting.loop.precision, stack.setting.config, stack.engine, execution.device)
     results: list[Pilot] = work.carry_out(measure, unit="steps", total=last, threads=chosen.threads)
     write_thresholds(path, results)
     for stack in stacks:

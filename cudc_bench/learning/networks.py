@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from cudc_bench.settings.seeding import stream_seed
 
-_WIDE = 64  # Narrower products take little time, and values and actions come from them.
+WIDE = 64  # Narrower products take little time, and values and actions come from them.
 _bf16_products = False
 _members_apart = True
 
@@ -124,7 +124,7 @@ class Linear(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(E, B, inputs) -> (E, B, outputs)."""
-        if _bf16_products and min(self.weight.shape[1:]) >= _WIDE:
+        if _bf16_products and min(self.weight.shape[1:]) >= WIDE:
             # The sum with the bias is float32 again.
             return torch.bmm(x.bfloat16(), self.weight.bfloat16()) + self.bias
         if self._apart and 1 in (x.shape[1], self.weight.shape[2]):

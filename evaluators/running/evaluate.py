@@ -19,6 +19,7 @@ from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
+from cudc_bench.learning.bf16 import echo_if_slower
 from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.runs.execution import Execution, Work, begun_together
 from cudc_bench.settings.profiles import resolve_profile
@@ -136,6 +137,8 @@ def evaluate(
         f" {total:,} gradient steps, {execution.device}"
         + (f"; {len(runs) - len(left)} recorded before are kept" if len(left) < len(runs) else "")
     )
+    for stack in work.stacks:
+        echo_if_slower(stack.plan.loop.precision, stack.plan.config, stack.engine, execution.device)
     own = None if wanted.reward is None else wanted.reward.reference
     work.carry_out(evaluate_members, unit="gradient steps", total=total, threads=chosen.threads, reward=own, policies=policies)
     return [run.path for run in runs]

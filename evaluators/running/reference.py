@@ -26,6 +26,7 @@ from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
+from cudc_bench.learning.bf16 import echo_if_slower
 from cudc_bench.learning.engines import engine_of, set_engine
 from cudc_bench.learning.learner import check_precision
 from cudc_bench.learning.networks import MemberRandom
@@ -248,6 +249,8 @@ def make_references(
         f" {plan.loop.steps:,} steps each, {plan.device}"
         + (f"; {len(plan.tasks) - len(missing)} made before are kept" if len(missing) < len(plan.tasks) else "")
     )
+    if work.stacks:
+        echo_if_slower(plan.loop.precision, plan.config, plan.engine, plan.device)
     threads = resolve_profile(profile).threads
     work.carry_out(train_members, unit="steps", total=plan.loop.steps, threads=threads, stacks=work.stacks)
     return [plan.path(task) for task in plan.tasks]
