@@ -42,7 +42,7 @@ def run() -> Iterator[Row]:
 
 
 def _row(name: str, make: Callable[[], Any]) -> Row:
-    runs: list[Callable[[], object]] = [_updates(make(), engine) for engine in ("eager", "compiled")]
+    runs: list[Callable[[], object]] = [updates(make(), engine) for engine in ("eager", "compiled")]
     start = time.perf_counter()
     runs[1]()
     first = time.perf_counter() - start
@@ -53,11 +53,12 @@ def _row(name: str, make: Callable[[], Any]) -> Row:
     return Row(what, measured, f"one by one {eager:.2f} ms", f"{eager / compiled:.2f}x", f"≥ {target}x", eager / compiled >= target)
 
 
-def _updates(learner: Any, engine: str) -> Callable[[], None]:
+def updates(learner: Any, engine: str, count: int = TOGETHER) -> Callable[[], None]:
+    """So many updates of a learner, with the drawing of their minibatches."""
     update = drawing_updates(learner, engine, EPISODES)
 
     def together() -> None:
-        for _ in range(TOGETHER):
+        for _ in range(count):
             update(False)
 
     return together
