@@ -59,8 +59,9 @@ class TD3(ActorCritic):
     def actor_value(self, batch: Batch, mean: Tensor) -> Tensor:
         """What the actor maximises at each state (E, B), whose means (E, B, A) it gives."""
         action = self.around(mean) if self.config.actor_noise else mean
-        values = self.critic(batch.observation, action)
-        return values.amin(-1) if self.config.maximise == "min" else values[..., 0]
+        if self.config.maximise == "first":
+            return self.critic.first(batch.observation, action)
+        return self.critic(batch.observation, action).amin(-1)
 
     def actor_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         return -self.actor_value(batch, self.actor(batch.observation)).mean(1), {}

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.func import functional_call
 
 from cudc_bench.settings.seeding import stream_seed
 
@@ -249,6 +250,12 @@ class TwinCritic(nn.Module):
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """(E, B, S), (E, B, A) -> both values (E, B, 2)."""
         return self.twins(torch.cat([observation, action], dim=-1)).squeeze(-1).transpose(1, 2)
+
+    def first(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(E, B, S), (E, B, A) -> the first critic's values (E, B), to the last bit those of both, without the work of the second."""
+        own = {name: stacked[:: self.twins.size] for name, stacked in self.twins.layers.named_parameters()}
+        values: Tensor = functional_call(self.twins.layers, own, torch.cat([observation, action], dim=-1))
+        return values.squeeze(-1)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from cudc_bench.learning.networks import (
     LayerNorm,
@@ -18,6 +19,7 @@ from cudc_bench.learning.networks import (
     mlp,
     noisy_action,
     soft_update,
+    trunk,
 )
 
 SEEDS = [3, 1, 4]
@@ -60,6 +62,18 @@ def test_stacked_twin_critics_equal_their_members_built_alone(kind):
     for index, seed in enumerate(SEEDS):
         rows = slice(index, index + 1)
         torch.testing.assert_close(together[rows], kind(weights([seed]), 7, 8)(observation[rows], action[rows]))
+
+
+def test_the_first_of_twin_critics_alone_is_the_first_of_both_to_the_last_bit():
+    critic = TwinCritic(weights(), lambda streams: nn.Sequential(trunk(streams, 7, 64), *mlp(streams, 64, 64, 1)))
+    observation, action = torch.randn(3, 32, 5), torch.randn(3, 32, 2, requires_grad=True)
+    found = []
+    for values in (critic(observation, action)[..., 0], critic.first(observation, action)):
+        with frozen(critic):
+            (gradient,) = torch.autograd.grad(values.square().mean(), action, retain_graph=True)
+        found.append((values, gradient))
+    for both, alone in zip(*found, strict=True):
+        assert torch.equal(both, alone)
 
 
 @pytest.mark.parametrize("kind", CRITICS.values(), ids=CRITICS)
