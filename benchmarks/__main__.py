@@ -17,7 +17,7 @@ from benchmarks.measure import Row
 from cudc_bench.artefacts.provenance import commit, processor, versions
 from cudc_bench.execution.parallel import cores
 
-NAMES = ("environment", "relabel", "updates", "learners", "engines", "kernels", "precision", "shares", "growth", "whole", "cuda",
+NAMES = ("environment", "relabel", "updates", "learners", "engines", "peers", "kernels", "precision", "shares", "growth", "whole", "cuda",
          "protocol", "checkpoints", "sampler", "datasets", "memory", "leaderboard", "suite")  # fmt: skip
 
 
