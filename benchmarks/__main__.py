@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from benchmarks.measure import Row
@@ -61,7 +62,8 @@ def _table(rows: list[Row]) -> Table:
     for column in ("what", "measured", "against", "ratio", "target", "met"):
         table.add_column(column)
     for row in rows:
-        table.add_row(row.what, row.measured, row.against, row.ratio, row.target, "yes" if row.met else "NO")
+        cells = (row.what, row.measured, row.against, row.ratio, row.target, "yes" if row.met else "NO")
+        table.add_row(*map(escape, cells))
     return table
 
 

@@ -13,8 +13,9 @@ weight, no entropy in the target, three actions of each kind for each state; IQL
 
 What one does and another does not:
 
-- Ours: the first layer of actors and critics, but for IQL's, is followed by LayerNorm and tanh in the place of ReLU, which costs us time.
-  Python never reads a loss; metrics are read in one update of a thousand, and not here. IQL's learning rate follows a cosine.
+- Ours: the first layer of actors and critics, but for IQL's, is followed by LayerNorm and tanh in the place of ReLU, which costs us time;
+  "plain networks" are ours without these, one by one. Python never reads a loss; metrics are read in one update of a thousand, and not
+  here. IQL's learning rate follows a cosine.
 - d3rlpy: each loss becomes a Python number in each update. A minibatch is put together in Python, one transition after the other. Its
   Adam goes over lists of tensors. BC minimises squared errors, ours a likelihood, which differs from it by a constant factor. CQL weighs
   its actions by their density; IQL judges each state three times. Its compiled mode needs CUDA and is not here.
@@ -29,11 +30,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+from unittest.mock import patch
 
+import gymnasium
 import numpy as np
 import torch
 from torch import nn
@@ -41,6 +45,8 @@ from torch import nn
 from benchmarks.engines import EPISODES, updates
 from benchmarks.measure import Row, fastest_interleaved
 from cudc_bench import plugins
+from cudc_bench.evaluators import actor_critic, cql
+from cudc_bench.learning import networks
 from cudc_bench.learning.compiled import missing_compiler
 
 INSTALL = "pip install -c constraints.txt -e '.[peers]'"
@@ -55,6 +61,7 @@ OURS: dict[str, tuple[str, dict[str, Any]]] = {
     "IQL": ("iql", COMMON),
     "BC": ("bc", {"learning_rate": 3e-4}),
 }
+PLAIN = "eager, plain networks"  # a first layer as the peers' own: ReLU, no LayerNorm
 Maker = Callable[[str, int, int], Callable[[], object]]  # of an algorithm, a size, and a number of updates
 
 
@@ -70,7 +77,7 @@ def run() -> Iterator[Row]:
     missing = missing_compiler()
     if missing:
         yield Row("compiled updates", "", missing, "", "", False)
-    engines = ("eager",) if missing else ("eager", "compiled")
+    engines = ("eager", PLAIN) if missing else ("eager", PLAIN, "compiled")
     for size, (count, rounds) in SIZES.items():
         for algorithm in OURS:
             if makers := {name: make for name, (algorithms, make) in there.items() if algorithm in algorithms}:
@@ -78,6 +85,7 @@ def run() -> Iterator[Row]:
 
 
 def _compare(algorithm: str, size: int, count: int, rounds: int, makers: dict[str, Maker], engines: tuple[str, ...]) -> Iterator[Row]:
+    engines = tuple(one for one in engines if one != PLAIN or algorithm != "IQL")  # whose networks are plain
     runs = [_ours(algorithm, engine, size, count) for engine in engines]
     runs += [make(algorithm, size, count) for make in makers.values()]
     times = [seconds / count * 1e3 for seconds in fastest_interleaved(runs, rounds, clock=time.process_time)]
@@ -90,7 +98,15 @@ def _compare(algorithm: str, size: int, count: int, rounds: int, makers: dict[st
 def _ours(algorithm: str, engine: str, size: int, count: int) -> Callable[[], object]:
     name, values = OURS[algorithm]
     kind = plugins.load("evaluators", name)
-    return updates(kind(S, A, kind.configure({}, {**values, "width": size, "batch_size": size}), [1]), engine, count)
+    with ExitStack() as patched:
+        for module in (networks, actor_critic, cql) if engine == PLAIN else ():
+            patched.enter_context(patch.object(module, "trunk", _plain))
+        learner = kind(S, A, kind.configure({}, {**values, "width": size, "batch_size": size}), [1])
+    return updates(learner, "compiled" if engine == "compiled" else "eager", count)
+
+
+def _plain(random: networks.MemberRandom, inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(networks.Linear(random, inputs, outputs), networks.Activation(torch.relu_))
 
 
 def _data() -> dict[str, np.ndarray]:
@@ -146,11 +162,11 @@ def _d3rlpy(algorithm: str, size: int, count: int) -> Callable[[], object]:
 
 
 def _stable_baselines3(algorithm: str, size: int, count: int) -> Callable[[], object]:
-    gymnasium, library = import_module("gymnasium"), import_module("stable_baselines3")
+    library = import_module("stable_baselines3")
     data, rows = _data(), EPISODES * STEPS
     observations, actions = gymnasium.spaces.Box(-np.inf, np.inf, (S,)), gymnasium.spaces.Box(-1.0, 1.0, (A,))
 
-    class Nowhere(gymnasium.Env):  # type: ignore[misc]
+    class Nowhere(gymnasium.Env):
         """The spaces alone: nothing is collected here."""
 
         observation_space, action_space = observations, actions
