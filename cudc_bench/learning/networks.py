@@ -120,15 +120,16 @@ class Linear(nn.Module):
                 block.copy_(nn.init.orthogonal_(drawn, generator=generator).T)
         self.weight = nn.Parameter(weight)
         self.bias = nn.Parameter(bias)
-        # A member that is alone has a product of one matrix, which is another kernel's work if it is one with a vector.
-        self._apart = random.fold == 1 and random.count > 1 and random.device.type == "cpu"
+        # One of each member's networks: a member that is alone has a product of one matrix, which is another kernel's work if it is one
+        # with a vector.
+        self._apart = random.count // random.fold if random.device.type == "cpu" else 0
 
     def forward(self, x: Tensor) -> Tensor:
         """(E, B, inputs) -> (E, B, outputs)."""
         if _bf16_products and min(self.weight.shape[1:]) >= WIDE:
             # The sum with the bias is float32 again.
             return torch.bmm(x.bfloat16(), self.weight.bfloat16()) + self.bias
-        if self._apart and 1 in (x.shape[1], self.weight.shape[2]):
+        if self._apart == len(x) > 1 and 1 in (x.shape[1], self.weight.shape[2]):
             members = zip(self.bias.split(1), x.split(1), self.weight.split(1), strict=True)
             return torch.cat([torch.baddbmm(*member) for member in members])
         return torch.baddbmm(self.bias, x, self.weight)
@@ -252,7 +253,7 @@ class TwinCritic(nn.Module):
         return self.twins(torch.cat([observation, action], dim=-1)).squeeze(-1).transpose(1, 2)
 
     def first(self, observation: Tensor, action: Tensor) -> Tensor:
-        """(E, B, S), (E, B, A) -> the first critic's values (E, B), to the last bit those of both, without the work of the second."""
+        """(E, B, S), (E, B, A) -> the first critic's values (E, B), without the work of the second; as of both but for rounding."""
         own = {name: stacked[:: self.twins.size] for name, stacked in self.twins.layers.named_parameters()}
         values: Tensor = functional_call(self.twins.layers, own, torch.cat([observation, action], dim=-1))
         return values.squeeze(-1)
