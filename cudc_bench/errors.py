@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import os
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 DEBUG = "CUDC_BENCH_DEBUG"  # the environment variable that asks for more than a line; processes that are started here hear of it, too
 
@@ -56,6 +57,25 @@ def traceback_of(error: BaseException) -> str:
         one.__suppress_context__ = one.__cause__ is not None
         one = one.__cause__ or one.__context__
     return "".join(traceback.format_exception(error))
+
+
+@contextmanager
+def finishing() -> Iterator[None]:
+    """Within this context a call of ``sys.exit`` is a failure: whose code it may be, an unfinished command may not look done.
+
+    Raises:
+        RunError: somebody called it; the message says where.
+    """
+    try:
+        yield
+    except SystemExit as error:
+        if isinstance(error.__context__, BrokenPipeError):
+            raise  # how rich leaves when nobody reads any more
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f"'{frames[-1].filename}' line {frames[-1].lineno}"
+        raise RunError(
+            f"{where} called for the end of the process (exit code {error.code!r}) before the work was done; take that out."
+        ) from error
 
 
 def nearest(value: str, allowed: Iterable[str]) -> str:

@@ -7,7 +7,8 @@ import os
 import platform
 import stat
 import zlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cudc_bench.errors import RunError, UsageError
@@ -112,26 +113,37 @@ def lives(process: int) -> bool:
     return True
 
 
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file (text as UTF-8) through a temporary neighbour, fsync and one rename.
+@contextmanager
+def replacing(path: Path, ending: str = "") -> Iterator[Path]:
+    """A temporary neighbour of a file, which takes its place when this context ends, and is gone if it fails.
 
     What a process of this machine left that was killed while it did the same is removed.
+
+    Args:
+        path: the file; its folder is made.
+        ending: of the neighbour's name, for a library that goes by it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    mine = f".{path.name}.{zlib.crc32(platform.node().encode()):08x}."
-    temporary = path.with_name(f"{mine}{os.getpid()}.tmp")
+    mine, its = f".{path.name}.{zlib.crc32(platform.node().encode()):08x}.", f".tmp{ending}"
+    temporary = path.with_name(f"{mine}{os.getpid()}{its}")
     for other in os.listdir(path.parent):
-        number = other.removeprefix(mine).removesuffix(".tmp")
-        if other == f"{mine}{number}.tmp" and number.isdecimal() and not lives(int(number)):
+        number = other.removeprefix(mine).removesuffix(its)
+        if other == f"{mine}{number}{its}" and number.isdecimal() and not lives(int(number)):
             path.with_name(other).unlink(missing_ok=True)
     try:
-        with temporary.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
+        yield temporary
         temporary.replace(path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a file (text as UTF-8) through a temporary neighbour (:func:`replacing`), fsync and one rename."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def sync(path: Path) -> None:

@@ -6,12 +6,14 @@ never names a stage and an extension needs no change in this package.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from cudc_bench.errors import RunError, unknown
 
+OWN = "cudc-bench"  # the distribution that this is
 KINDS = ("collectors", "relabelers", "evaluators", "stages", "commands")
 _SINGULAR = {
     "collectors": "method",
@@ -20,6 +22,10 @@ _SINGULAR = {
     "stages": "stage",
     "commands": "command",
 }
+
+
+# What anything of a kind must at least be, for lists and for whoever is about to use it.
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {"collectors": ("family", "citation"), "evaluators": ("summary", "citation")}
 
 
 @cache
@@ -77,15 +83,59 @@ def target(kind: str, name: str) -> tuple[str, str]:
     return point.module, point.attr
 
 
+def is_own(kind: str, name: str) -> bool:
+    """Whether this package itself registered a name; nothing is imported."""
+    found = _point(kind, name).dist
+    return found is not None and found.name == OWN
+
+
+def unusable(kind: str, name: str, why: str) -> RunError:
+    """The one failure for what is registered and will not do.
+
+    Args:
+        kind: of plug-in.
+        name: that it is registered under.
+        why: in a few words, without a full stop.
+    """
+    point = _point(kind, name)
+    package = f" of the package {point.dist.name}" if point.dist else ""
+    return RunError(f"the {_SINGULAR[kind]} '{name}' ({point.value}){package} is installed but cannot be used: {why.rstrip('.')}.")
+
+
 def load(kind: str, name: str) -> Any:
     """Import and return what is registered under a name.
 
     Raises:
         UsageError: no such name.
-        RunError: the plug-in is registered but cannot be imported, or several packages registered it.
+        RunError: the plug-in is registered but cannot be imported or is no such thing, or several packages registered it.
     """
     point = _point(kind, name)
     try:
-        return point.load()
+        found = point.load()
     except (ImportError, AttributeError) as error:
-        raise RunError(f"the {_SINGULAR[kind]} '{name}' ({point.value}) is installed but cannot be imported: {error}.") from error
+        raise unusable(kind, name, str(error)) from error
+    except SystemExit as error:
+        raise unusable(kind, name, f"it ends the process when it is imported (exit code {error.code!r})") from error
+    except Exception as error:  # somebody else's code, which may do anything when it is imported
+        raise unusable(kind, name, f"{type(error).__name__}: {error}") from error
+    attributes = _ATTRIBUTES.get(kind, ())
+    if not callable(found) or not all(isinstance(getattr(found, one, None), str) for one in attributes):
+        needs = f" with {' and '.join(attributes)}, each a text" if attributes else ""
+        raise unusable(kind, name, f"it is nothing that can be called{needs}")
+    return found
+
+
+def load_sound(kind: str, left_out: Callable[[RunError], None]) -> dict[str, Any]:
+    """Everything of a kind that can be used, by its name in sorted order: one broken plug-in is no reason to do without the others.
+
+    Args:
+        kind: one of ``KINDS``.
+        left_out: told of each that cannot be used.
+    """
+    found = {}
+    for name in names(kind):
+        try:
+            found[name] = load(kind, name)
+        except RunError as error:
+            left_out(error)
+    return found

@@ -117,8 +117,10 @@ def _wanting(methods: Sequence[str] | None, domain: str, profile: Profile, setti
     Raises:
         UsageError: one was named that needs none.
     """
-    names = [plugins.check_name("collectors", name) for name in methods] if methods else plugins.names("collectors")
-    kinds = {name: plugins.load("collectors", name) for name in names}
+    if methods:
+        kinds = {name: plugins.load("collectors", name) for name in methods}
+    else:
+        kinds = plugins.load_sound("collectors", lambda error: echo(f"left out: {error}"))
     configured = {name: (kind, kind.configure(domain, profile.collect, settings)) for name, kind in kinds.items()}
     wanting = [name for name, (kind, config) in configured.items() if kind.measured_by_pilot(config) is not None]
     if methods and (others := [name for name in methods if name not in wanting]):

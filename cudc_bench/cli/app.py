@@ -15,8 +15,9 @@ from typing import Annotated, Any
 import typer
 
 from cudc_bench import plugins
-from cudc_bench.errors import DEBUG, CudcBenchError, traceback_of, wants_traceback
-from cudc_bench.execution.interrupts import Interrupted
+from cudc_bench.errors import DEBUG, CudcBenchError, RunError, finishing, traceback_of, wants_traceback
+from cudc_bench.execution.interrupts import Interrupted, Terminated, tidying_up
+from cudc_bench.execution.streams import open_streams
 from cudc_bench.text import shortened, visible
 
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
@@ -28,9 +29,9 @@ _ORDER = (
 
 
 class _Left(CudcBenchError):
-    """A run was interrupted and has kept its state; unlike the interruption itself, this gets past typer."""
+    """A run was interrupted, and has kept what it could; unlike the interruption itself, this gets past typer."""
 
-    def __init__(self, interrupted: Interrupted) -> None:
+    def __init__(self, interrupted: Interrupted | Terminated) -> None:
         super().__init__(interrupted.message)
         self.exit_code = interrupted.exit_code
 
@@ -39,8 +40,9 @@ def _leaving_well(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(*arguments: Any, **options: Any) -> None:
         try:
-            command(*arguments, **options)
-        except Interrupted as error:
+            with finishing():
+                command(*arguments, **options)
+        except (Interrupted, Terminated) as error:
             raise _Left(error) from None
 
     return run
@@ -74,16 +76,46 @@ def build_app() -> typer.Typer:
     app.callback()(_root)
     names = plugins.names("commands")
     for name in sorted(names, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)):
-        app.command(name)(_leaving_well(plugins.load("commands", name)))
+        try:
+            command = plugins.load("commands", name)
+            if not plugins.is_own("commands", name):
+                _check_parameters(name, command)
+        except RunError as error:
+            _complain(f"{error} It is left out.", error, "warning")
+        else:
+            app.command(name)(_leaving_well(command))
     return app
+
+
+def _check_parameters(name: str, command: Callable[..., None]) -> None:
+    """Refuse a third party's command that typer cannot offer: it finds out when the command line is read, and then offers none.
+
+    Raises:
+        RunError: it has parameters of a kind that typer does not know.
+    """
+    alone = typer.Typer()
+    try:
+        alone.command()(command)
+        typer.main.get_command(alone)
+    except Exception as error:  # of any kind: what annotations may be has no end
+        raise plugins.unusable("commands", name, f"{type(error).__name__}: {error}") from error
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 failed, 2 wrong input, 130 interrupted (143 by SIGTERM)."""
+    open_streams()
+    with tidying_up():
+        sys.exit(_run(arguments))
+
+
+def _run(arguments: list[str] | None) -> int:
+    """The exit code of a command."""
+    code: Any
     try:
         code = build_app()(arguments, standalone_mode=False)
         if code == 130:  # typer takes Ctrl-C for itself, and says nothing
             _complain("interrupted.")
+        _flush()
     except CudcBenchError as error:
         _complain(str(error), error)
         code = error.exit_code
@@ -97,16 +129,31 @@ def main(arguments: list[str] | None = None) -> None:
         code = 130
     except BrokenPipeError:
         code = 1
+        _forget_output()
     except OSError as error:  # of a library that writes by itself
         where = f" ({error.filename})" if error.filename else ""
         _complain(f"the system refused to go on: {error.strerror or error}{where}.", error)
         code = 1
+        _forget_output()
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise
         _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.", error)
         code = 1
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
+
+
+def _flush() -> None:
+    """Write what was printed, so that a disk that is full, or a reader that has left, ends the command as any other failure does."""
+    sys.stdout.flush()
+
+
+def _forget_output() -> None:
+    """Drop what is printed and cannot be written: Python would try again at its end, and complain."""
+    with suppress(OSError):
+        sys.stdout.flush()
+        return
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _is_out_of_memory(error: BaseException) -> bool:
@@ -114,11 +161,11 @@ def _is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
 
 
-def _complain(message: str, error: BaseException | None = None) -> None:
+def _complain(message: str, error: BaseException | None = None, kind: str = "error") -> None:
     with suppress(OSError):  # nobody may be there any more to read it
         if error is not None and wants_traceback():
             print(traceback_of(error), end="", file=sys.stderr)
-        print(f"cudc-bench: error: {shortened(visible(message))}", file=sys.stderr)
+        print(f"cudc-bench: {kind}: {shortened(visible(message))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -17,12 +17,16 @@ def list_command(
     from rich.console import Console
 
     from cudc_bench.artefacts.records import REFERENCE, record_files, visible_files
+    from cudc_bench.execution.progress import echo
     from cudc_bench.files import check_folder
 
+    broken: list[str] = []
     folder = check_folder(results, "the folder of the records", writable=False)
     console = Console()
-    for table in (_methods(), _domains(), _algorithms(), _profiles(), _datasets()):
+    for table in (_methods(broken), _domains(), _algorithms(broken), _profiles(), _datasets()):
         console.print(table)
+    for line in broken:
+        echo(f"left out: {line}")
     for line in _unfinished():
         console.print(line, markup=False, highlight=False)
     records, references = len(record_files(folder)), len(visible_files(folder, REFERENCE))
@@ -38,15 +42,23 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _methods() -> Table:
+def _add(table: Table, *texts: str) -> None:
+    """A row, in which nothing that somebody else wrote is taken for markup or drives the terminal."""
+    from rich.text import Text
+
+    from cudc_bench.text import visible
+
+    table.add_row(*(Text("\n".join(map(visible, text.split("\n")))) for text in texts))
+
+
+def _methods(broken: list[str]) -> Table:
     from cudc_bench import plugins
 
     table = _table("Collectors (--method)", "name", "family", "citation")
     first: dict[object, str] = {}
-    for name in plugins.names("collectors"):
-        kind = plugins.load("collectors", name)
+    for name, kind in plugins.load_sound("collectors", lambda error: broken.append(str(error))).items():
         same = first.setdefault(kind, name)
-        table.add_row(name, kind.family if same == name else f"the same as {same}", kind.citation)
+        _add(table, name, kind.family if same == name else f"the same as {same}", kind.citation)
     return table
 
 
@@ -56,19 +68,18 @@ def _domains() -> Table:
     table = _table("Domains (--domain)", "name", "tasks", "measured", "obs, act, steps")
     for domain in DOMAINS.values():
         sizes = (domain.observation_size, domain.action_size, domain.episode_length)
-        table.add_row(domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), ", ".join(map(str, sizes)))
+        _add(table, domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), ", ".join(map(str, sizes)))
     table.caption = f"and any of dm_control's suite through Shimmy, slower: {SUITE}<domain>-<task>, such as {SUITE}cheetah-run"
     table.caption_justify = "left"
     return table
 
 
-def _algorithms() -> Table:
+def _algorithms(broken: list[str]) -> Table:
     from cudc_bench import plugins
 
     table = _table("Offline algorithms (--algo)", "name", "what it is", "citation")
-    for name in plugins.names("evaluators"):
-        kind = plugins.load("evaluators", name)
-        table.add_row(name, kind.summary, kind.citation)
+    for name, kind in plugins.load_sound("evaluators", lambda error: broken.append(str(error))).items():
+        _add(table, name, kind.summary, kind.citation)
     return table
 
 
@@ -77,19 +88,17 @@ def _profiles() -> Table:
 
     table = _table(f"Profiles (--profile; auto is {resolve_profile('auto').name} here)", "name", "purpose")
     for profile in PROFILES.values():
-        table.add_row(profile.name, profile.purpose)
+        _add(table, profile.name, profile.purpose)
     return table
 
 
 def _datasets() -> Table:
     from rich import box
-    from rich.markup import escape
 
     from cudc_bench.artefacts.ids import dataset_path, datasets_root
     from cudc_bench.artefacts.k_schedule import k_schedule
     from cudc_bench.artefacts.manifest import read_manifest, stored_ids
     from cudc_bench.errors import CudcBenchError
-    from cudc_bench.text import plain
 
     root = datasets_root()
     rows = []
@@ -117,7 +126,7 @@ def _datasets() -> Table:
     # The widest table: without lines and padding an id is in two lines of a narrow terminal, not in four.
     table.box, table.collapse_padding = box.SIMPLE_HEAD, True
     for row in rows:
-        table.add_row(*(escape(plain(text)) for text in row[: len(columns)]))
+        _add(table, *row[: len(columns)])
     return table
 
 

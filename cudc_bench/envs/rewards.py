@@ -91,7 +91,7 @@ class CustomReward:
             rewards = np.asarray(self.function(measured), np.float64)
         except RunError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise BrokenDownError(f"the reward function {self.reference} failed: {type(error).__name__}: {error}.") from error
         if rewards.shape != (steps,):
             raise BrokenDownError(
@@ -151,7 +151,7 @@ def _load(reference: str) -> CustomReward:
         module = import_module(module_name)
     except ImportError as error:
         raise UsageError(f"--reward cannot import '{module_name}': {error}.") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UsageError(f"--reward cannot import '{module_name}': {type(error).__name__}: {error}.") from None
     function = getattr(module, name, None)
     if not inspect.isfunction(function):

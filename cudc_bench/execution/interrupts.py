@@ -45,6 +45,13 @@ class Interrupted(KeyboardInterrupt):
         return f"interrupted: {self.where}; the same command continues from there."
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came where nothing is kept by leaving later; whatever must be put away is put away on the way out."""
+
+    exit_code = 128 + signal.SIGTERM
+    message = "interrupted."
+
+
 def requested() -> bool:
     """Whether this process has been asked to leave."""
     return _asked != 0
@@ -67,6 +74,24 @@ def on_sigterm() -> None:
 def interrupted(where: str) -> Interrupted:
     """What a loop raises once it has saved its state; see :class:`Interrupted`."""
     return Interrupted(where, _asked or signal.SIGINT)
+
+
+@contextmanager
+def tidying_up() -> Iterator[None]:
+    """Within this context a SIGTERM that nobody else waits for raises :class:`Terminated`, where it would end the process with all that it
+    left on the disk; outside the main thread, and where whoever started the process ignores the signal, nothing changes."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def handle(number: int, _: FrameType | None) -> None:
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from functools import partial
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
-from cudc_bench.errors import RunError, UsageError
+from cudc_bench.errors import RunError, UsageError, finishing
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.progress import Advance, bar_if_long, bars, echo
@@ -212,7 +212,7 @@ def _call(function: Callable[..., Any], job: Job, threads: int, advance: Advance
     if interrupts.requested():
         raise interrupts.interrupted("")  # this job has not even begun
     try:
-        with torch_threads(threads), kept_memory():
+        with torch_threads(threads), kept_memory(), finishing():
             return function(advance, **job.arguments)
     except interrupts.Interrupted as error:
         raise interrupts.interrupted(f"{job.description} {error.where}") from None

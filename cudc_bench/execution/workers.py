@@ -6,15 +6,17 @@ that is killed while it holds one, by the system when memory runs out, keeps all
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
@@ -24,6 +26,9 @@ from cudc_bench.execution import interrupts
 
 T = TypeVar("T")
 Notify = Callable[[Any], None]
+
+_PR_SET_PDEATHSIG = 1  # of prctl(2)
+_PATIENCE = 300.0  # seconds that a task has to save its state once nobody wants its result any more
 
 _saving = False  # in a worker, whether it has a task that keeps its state
 
@@ -35,10 +40,12 @@ class Ended:
     Attributes:
         result: what came out, None if there is an error.
         error: what it raised.
+        leaves: whether its process was asked to leave and ends with it: another must do what is left.
     """
 
     result: Any = None
     error: BaseException | None = None
+    leaves: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ class Worker(Generic[T]):
         with _signals_blocked():
             self._process.start()
         its.close()
-        self._asked = False
+        self._asked = self._leaves = False
         self.task: T | None = None
 
     def give(self, task: T) -> None:
@@ -93,7 +100,7 @@ class Worker(Generic[T]):
             while self.task is not None and self._mine.poll():
                 message = self._mine.recv()
                 if isinstance(message, Ended):
-                    self.task = None
+                    self.task, self._leaves = None, message.leaves
                 yield message
         except (EOFError, OSError):
             self._mine.close()  # also where a message could not be read: it goes when it finds nobody
@@ -104,7 +111,7 @@ class Worker(Generic[T]):
     @property
     def lives(self) -> bool:
         """Whether it takes a task if it has none."""
-        return self._process.is_alive()
+        return not self._leaves and self._process.is_alive()
 
     def request_stop(self) -> None:
         """Ask its task to save and leave; asked again, nothing happens. (A signal handler may not see a worker that is just being started,
@@ -187,9 +194,10 @@ def _serve(pipe: Connection, do: Callable[[T, Notify], Any], begin: Callable[[],
     global _saving
     interrupts.on_sigterm()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+    _leave_with_parent()
+    _end_with_parent(True)
     if begin is not None:
         begin()
-    _leave_with_parent()
 
     def notify(message: Any) -> None:
         with suppress(OSError):
@@ -203,20 +211,26 @@ def _serve(pipe: Connection, do: Callable[[T, Notify], Any], begin: Callable[[],
         if task is None:
             return
         _saving = saves is None or saves(task)
+        _end_with_parent(not _saving)
         try:
             ended = Ended(do(task, notify))
         except BaseException as error:
             ended = Ended(error=_travelling(error))
         finally:
             _saving = False
+            _end_with_parent(True)
+        # Whoever was asked to leave, by the one that started it or by somebody else, is never of use again: each task would leave at once.
+        ended = replace(ended, leaves=interrupts.requested())
         try:
             try:
                 pipe.send(ended)
             except OSError:
                 raise
             except Exception as error:  # such a result cannot be sent, and nothing of it has been
-                pipe.send(Ended(error=_travelling(error)))
+                pipe.send(Ended(error=_travelling(error), leaves=ended.leaves))
         except OSError:
+            return
+        if ended.leaves:
             return
 
 
@@ -236,15 +250,24 @@ def _travelling(error: BaseException) -> BaseException:
 
 def _leave_with_parent() -> None:
     """End this process when the one that wants its results was killed: at once, or when its task has saved its state."""
-    parent = multiprocessing.parent_process()
+    parent, number = multiprocessing.parent_process(), os.getppid()
 
     def wait_and_leave() -> None:
         if parent is None:
             return
-        parent.join()
+        # Forked siblings hold each other's end of the pipe that says it: whether there is still a parent, the system knows itself.
+        while os.getppid() == number and parent.is_alive():
+            parent.join(1.0)
         interrupts.request_stop(signal.SIGTERM)
-        while _saving:
+        deadline = time.monotonic() + _PATIENCE
+        while _saving and time.monotonic() < deadline:
             time.sleep(0.05)
         os._exit(1)
 
     threading.Thread(target=wait_and_leave, daemon=True).start()
+
+
+def _end_with_parent(ends: bool) -> None:
+    """Whether the system kills this process when its parent's is: no thread can end it while a library computes."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL if ends else 0, 0, 0, 0)

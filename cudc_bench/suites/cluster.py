@@ -157,14 +157,15 @@ def _drive(
         if news.ended.how == "done":
             queue.succeed(job)
             display.line(f"done {job.name}; {display.summary({})}")
-        elif news.ended.how == "left":
+        elif news.ended.how == "left" and asked is not None:
             queue.put_back(job)
         else:
             log = logs / f"{job.slug}.log"
             with suppress(OSError):
                 write_atomically(log, news.log)
-            queue.fail(job, news.ended.why)
-            display.line(f"failed {job.name}: {news.ended.why} See {log}")
+            why = news.ended.why or "somebody asked its process to leave."
+            queue.fail(job, why)
+            display.line(f"failed {job.name}: {why} See {log}")
 
     with interrupts.leaving_gracefully():
         while tasks or pilots:

@@ -72,6 +72,8 @@ def understood(news: Any) -> Progress | Outcome:
     if not isinstance(news, workers.Ended):
         told: Progress = news
         return told
+    if isinstance(news.error, interrupts.Interrupted):
+        return Outcome("left", visible(news.error.where))
     if news.error is not None:
         return Outcome("failed", visible(str(news.error)))
     ended: Outcome = news.result

@@ -80,12 +80,13 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
     running: dict[Job, Running] = {}
     held: dict[Job, float] = {}
     share = max(1, all_cores() // workers)
-    left: list[str] = []
+    left: dict[Job, str] = {}
 
     def start() -> Given | None:
         not_now = [job for job, when in held.items() if when > time.monotonic()]
         if (job := queue.start(not_now)) is None:
             return None
+        left.pop(job, None)
         running[job] = Running(job, time.monotonic(), queue.seconds[job])
         return job, logs / f"{job.slug}.log"
 
@@ -112,7 +113,9 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
             queue.put_back(job)
         elif ended.how == "left":
             queue.put_back(job)
-            left.append(ended.why)
+            left[job] = ended.why
+            if not interrupts.requested():
+                display.line(f"again {job.name}: somebody asked its process to leave; it goes on in another")
         else:
             log = logs / f"{job.slug}.log"
             queue.fail(job, ended.why)
@@ -125,5 +128,5 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         crew.work(start, on_news, lambda: queue.is_over, lambda: display.refresh(running))
         if interrupts.requested():
             done = f"{before + len(queue.done)} of {before + len(queue.plan.needs)} jobs done"
-            raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left))]))
+            raise interrupts.interrupted("; ".join([done, *dict.fromkeys(filter(None, left.values()))]))
     return [(failure, logs / f"{(failure.because or failure.job).slug}.log") for failure in queue.failures]

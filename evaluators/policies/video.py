@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench.errors import UsageError
-from cudc_bench.files import sync, unwritable
+from cudc_bench.files import replacing, sync, unwritable
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".mp4", ".gif")
@@ -73,18 +71,13 @@ def write_video(path: Path, frames: Iterable[Frame], count: int, fps: float) -> 
     Raises:
         RunError: it cannot be written there, or ffmpeg failed. What making the frames raises passes through.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary, iter(frames), count, fps)
-        sync(temporary)
-        temporary.replace(path)
+        with replacing(path, path.suffix) as temporary:
+            write(temporary, iter(frames), count, fps)
+            sync(temporary)
     except OSError as error:
         raise unwritable(f"the video {path}", error) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _write_gif(path: Path, frames: Iterator[Frame], count: int, fps: float) -> None:

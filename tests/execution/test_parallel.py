@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import signal
+import sys
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cudc_bench.errors import DEBUG, RunError
 from cudc_bench.execution import interrupts
+from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.parallel import Job, computed, run_jobs
+from cudc_bench.execution.workers import Ended, Worker
+from cudc_bench.files import lives
+
+from ..waiting import wait_for
 
 
 def counting(advance: Any, *, upto: int, fail: bool = False) -> int:
@@ -100,6 +109,8 @@ class Unpicklable(Exception):
 def ends_so(advance: Any, *, how: str) -> str:
     if how == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
+    if how == "exit":
+        sys.exit(0)
     if how == "bug":
         raise Unpicklable("not ", "so")
     if how == "failure":
@@ -214,3 +225,53 @@ def test_functions_are_shared_by_forked_processes_and_what_ends_one_ends_all(wha
     assert all(line.endswith(" True") for line in lines[:-1])
     assert {int(line.split()[1]) for line in lines[:-1]} <= set(range(20 if what == "nothing" else 5))
     assert len(lines) == 21 or what != "nothing"
+
+
+def leaving_once(task: str, notify: Any) -> int:
+    """Somebody asks the process to leave; a job that is put back must find another."""
+    if not interrupts.requested() and task == "first":
+        os.kill(os.getpid(), signal.SIGTERM)
+    if interrupts.requested():
+        raise interrupts.interrupted("here")
+    return os.getpid()
+
+
+def test_a_worker_that_somebody_asks_to_leave_leaves_and_its_task_goes_on_in_another() -> None:
+    left, ends = ["first"], []
+
+    def on_news(task: str, news: Any) -> None:
+        ends.append(news)
+        if isinstance(news, Ended) and isinstance(news.error, interrupts.Interrupted) and len(ends) < 5:
+            left.append("again")
+
+    crew = Crew(lambda: Worker(leaving_once, context=get_context("fork")), 1)
+    crew.work(lambda: left.pop() if left else None, on_news, lambda: not left)
+    assert [type(one.error) for one in ends] == [interrupts.Interrupted, type(None)]
+    assert ends[0].leaves
+    assert not lives(ends[1].result)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux kills a process with its parent")
+def test_whoever_computes_for_a_killed_process_ends_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nap() -> None:
+        (tmp_path / str(os.getpid())).touch()
+        # As a library computes that keeps Python waiting: no other thread of the process runs meanwhile.
+        ctypes.PyDLL(None).sleep(3600)
+
+    def compute() -> None:
+        monkeypatch.setattr("cudc_bench.execution.parallel.parent_process", lambda: None)
+        monkeypatch.setattr("cudc_bench.execution.parallel.cores", lambda: 2)
+        computed([nap] * 2, "nap", "naps", few=0)
+
+    killed = get_context("fork").Process(target=compute)
+    killed.start()
+    wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
+    killed.kill()
+    killed.join()
+    wait_for(lambda: not any(lives(int(path.name)) for path in tmp_path.iterdir()))
+
+
+def test_a_job_that_ends_the_process_is_no_success() -> None:
+    for workers in (1, 2):
+        with pytest.raises(RunError, match=r"test_parallel.py' line \d+ called for the end of the process \(exit code 0\) before the work"):
+            run_jobs(ends_so, jobs({"how": "exit"}, {"how": "short"}), unit="steps", workers=workers, threads=1)
