@@ -15,6 +15,9 @@ from cudc_bench.errors import RunError, UsageError
 
 # Bytes. A name leaves room for that of the temporary neighbour that a file is first written to, and a path for what goes below a folder.
 _LONGEST_NAME, _LONGEST_PATH = 200, 3000
+MOST_TEXT = 1 << 24  # bytes of a file of text or JSON; a record of the largest profile has a hundredth
+MOST_LINES = 1 << 28  # bytes of a file with a line for each of many steps
+MOST_WEIGHTS = 1 << 30  # bytes of a policy; one of the paper's size has a hundredth
 
 
 def check_path(path: str | Path, what: str) -> Path:
@@ -94,6 +97,25 @@ def check_regular(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+def read_limited(path: Path, most: int = MOST_TEXT) -> bytes:
+    """What is in a file that may be anybody's; a few bytes of a sparse one can claim to be more than any memory has.
+
+    Args:
+        path: the file.
+        most: bytes that a file of its kind has reason to have.
+
+    Raises:
+        OSError: it cannot be read, has more bytes, or is no file at all.
+    """
+    check_regular(path)
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        content = b"" if size > most else file.read(most + 1)
+    if size > most or len(content) > most:
+        raise OSError(errno.EFBIG, f"it has {size:,} bytes, where {most:,} are the most that such a file may have", str(path))
+    return content
 
 
 def unwritable(what: object, error: OSError) -> RunError:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from cudc_bench.envs import Domain
 from cudc_bench.errors import UsageError
-from cudc_bench.files import check_regular
+from cudc_bench.files import read_limited
 
 Array = NDArray[Any]
 
@@ -136,13 +136,9 @@ def read_episode(file: EpisodeFile, domain: Domain) -> RawEpisode:
     """
     try:
         # Read once, so that what is checked, hashed and kept are the same bytes.
-        check_regular(file.path)
-        with file.path.open("rb") as opened:
-            content = opened.read(LARGEST + 1)
+        content = read_limited(file.path, LARGEST)
     except OSError as error:
         raise FileFault(f"cannot be read: {error.strerror}") from None
-    if len(content) > LARGEST:
-        raise FileFault(f"is larger than {LARGEST:,} bytes, the limit for an episode of states")
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except Exception as error:  # what parsers of foreign bytes may raise has no end, here and below

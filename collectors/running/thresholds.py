@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cudc_bench.artefacts.manifest import Pilot
 from cudc_bench.errors import RunError
 from cudc_bench.execution.locks import locked
-from cudc_bench.files import check_file, check_regular, unwritable, write_atomically
+from cudc_bench.files import check_file, read_limited, unwritable, write_atomically
 from cudc_bench.settings.config import as_dict, config_hash
 
 from .loop import CollectConfig
@@ -45,8 +45,7 @@ def read_thresholds(path: Path) -> list[Pilot]:
         RunError: it cannot be read, or is not such a file.
     """
     try:
-        check_regular(path)
-        return _File.model_validate_json(path.read_bytes()).thresholds
+        return _File.model_validate_json(read_limited(path)).thresholds
     except FileNotFoundError:
         return []
     except OSError as error:

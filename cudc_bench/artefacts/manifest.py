@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_folder, check_regular
+from cudc_bench.files import check_folder, read_limited
 
 KEY = "cudc_bench"
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
@@ -245,8 +245,7 @@ def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict
     """
     path = metadata_path(dataset_id, root)
     try:
-        check_regular(path)
-        metadata = json.loads(path.read_text(encoding="utf-8"))
+        metadata = json.loads(read_limited(path).decode("utf-8"))
     except FileNotFoundError:
         raise UsageError(f"there is no dataset '{dataset_id}' in {root or datasets_root()}.") from None
     except NotADirectoryError:

@@ -25,11 +25,15 @@ from pydantic import (
 
 from cudc_bench.artefacts.manifest import RewardFunction, Source
 from cudc_bench.errors import RunError
-from cudc_bench.files import check_regular, unwritable, write_atomically
+from cudc_bench.files import read_limited, unwritable, write_atomically
 from cudc_bench.settings.evaluate_config import BEFORE
 
 SCHEMA_VERSION = 1
 REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.artefacts.references``
+# The most that a record of any run has reason to hold; more of them would take whoever reads it minutes.
+MOST_EVALUATIONS, MOST_SETTINGS = 10_000, 1_000
+Settings = Annotated[dict[str, Any], Field(max_length=MOST_SETTINGS)]
+Versions = Annotated[dict[str, str], Field(max_length=MOST_SETTINGS)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
 DomainName = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_control/[A-Za-z0-9][A-Za-z0-9_-]{0,63})$")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -63,7 +67,7 @@ class DatasetReference(Strict):
     seed: Annotated[int, Field(ge=0)]
     steps: Annotated[int, Field(ge=1)]
     profile: Name
-    overrides: dict[str, Any] = {}
+    overrides: Settings = {}
     reward: RewardFunction | None = None
     source: Source | None = None
     used: Annotated[int, Field(ge=1)] | None = None
@@ -78,7 +82,7 @@ class Evaluation(Strict):
     """
 
     step: Annotated[int, Field(ge=0)]
-    returns: Annotated[list[Finite], Field(min_length=1)]
+    returns: Annotated[list[Finite], Field(min_length=1, max_length=MOST_EVALUATIONS)]
 
     @property
     def mean(self) -> float:
@@ -95,7 +99,7 @@ class TrainingMetrics(Strict):
     """
 
     step: Annotated[int, Field(ge=0)]
-    values: dict[str, Finite]
+    values: Annotated[dict[str, Finite], Field(max_length=MOST_SETTINGS)]
 
 
 class Submission(Strict):
@@ -156,20 +160,20 @@ class Record(Strict):
     dataset: DatasetReference
     algorithm: Name
     profile: Name
-    overrides: dict[str, Any] = {}
+    overrides: Settings = {}
     seed: Annotated[int, Field(ge=0)]
-    hyperparameters: dict[str, Any]
+    hyperparameters: Settings
     hyperparameters_hash: str
-    milestones: Annotated[list[int], Field(min_length=1)]
-    curve: Annotated[list[Evaluation], Field(min_length=1)]
+    milestones: Annotated[list[int], Field(min_length=1, max_length=MOST_SETTINGS)]
+    curve: Annotated[list[Evaluation], Field(min_length=1, max_length=MOST_EVALUATIONS)]
     final: Evaluation
-    late: list[Evaluation] = []
-    metrics: list[TrainingMetrics] = []
+    late: Annotated[list[Evaluation], Field(max_length=MOST_SETTINGS)] = []
+    metrics: Annotated[list[TrainingMetrics], Field(max_length=MOST_EVALUATIONS)] = []
     seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-    versions: dict[str, str]
+    versions: Versions
     commit: str | None = None
     dirty: bool = False
-    machine: dict[str, Any]
+    machine: Settings
     command: str
     created: str
     submission: Submission | None = None
@@ -317,8 +321,7 @@ def read_content(path: Path) -> bytes:
         RunError: it cannot be read.
     """
     try:
-        check_regular(path)
-        return path.read_bytes()
+        return read_limited(path)
     except OSError as error:
         raise RunError(f"cannot read the record {path}: {error.strerror}.") from None
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from cudc_bench.artefacts.ids import DatasetId, dataset_path
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_regular
+from cudc_bench.files import MOST_TEXT, check_regular
 from cudc_bench.text import plain
 
 DIAGNOSTICS = "diagnostics.jsonl"
@@ -54,7 +54,7 @@ def read_measures(dataset_id: DatasetId | str, names: Collection[str]) -> tuple[
     try:
         check_regular(path)
         with path.open("rb") as file:
-            for line in file:
+            while line := file.readline(MOST_TEXT):
                 number += 1
                 row = _row(line)
                 step = row["step"]

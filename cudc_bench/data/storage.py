@@ -22,6 +22,7 @@ from cudc_bench.files import check_regular
 LINKED = ("observations", "actions", "terminations", "truncations", "infos")
 # All that h5py raises on bytes that make no sense to it, and what is raised here.
 READ_ERRORS = (OSError, KeyError, IndexError, RuntimeError, ValueError, TypeError, OverflowError)
+_LARGEST = 1 << 28  # bytes of one episode's array; states take a thousandth
 _WHOLE = (h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT)
 
 
@@ -68,6 +69,9 @@ def open_field(group: h5py.Group, name: str) -> Any:
     if kind.kind not in "biuf":
         raise ValueError(f"{group.name}/{name} holds {kind}, which are no numbers")
     size = math.prod(dataset.shape) * kind.itemsize
+    if size > _LARGEST:
+        # A file with holes has any number of bytes, and few of them on the disk.
+        raise ValueError(f"{group.name}/{name} claims {size:,} bytes; an array of one episode may have {_LARGEST:,}")
     if dataset.get_storage_size() < size:
         raise ValueError(f"{group.name}/{name} claims {size:,} bytes, which its file does not have")
     return dataset

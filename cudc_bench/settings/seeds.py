@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from cudc_bench.errors import UsageError
 
+MOST_SEEDS = 1_000
 _RANGE = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
 
 
@@ -22,11 +23,11 @@ def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
         if match is None or not part.isascii():
             raise UsageError(f"{option} cannot be '{text}'; give numbers and ranges, such as 1 or 1-5 or 1,3.")
         first, last = int(match[1]), int(match[2] or match[1])
-        if last < first or last - first >= 1000:
-            raise UsageError(f"{option} cannot have the range '{part.strip()}'; it must ascend, over at most 1,000 seeds.")
+        if last < first or last - first >= MOST_SEEDS:
+            raise UsageError(f"{option} cannot have the range '{part.strip()}'; it must ascend, over at most {MOST_SEEDS:,} seeds.")
         seeds |= dict.fromkeys(range(first, last + 1))
-        if len(seeds) > 1000:
-            raise UsageError(f"{option} cannot have more than 1,000 seeds; split them over several runs.")
+        if len(seeds) > MOST_SEEDS:
+            raise UsageError(f"{option} cannot have more than {MOST_SEEDS:,} seeds; split them over several runs.")
     return tuple(seeds)
 
 
@@ -34,15 +35,19 @@ def check_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
     """Refuse seeds that cannot be used together.
 
     Raises:
-        UsageError: there is none, one is negative, or one is given twice.
+        UsageError: there is none, one is negative, one is given twice, or there are more than 1,000.
     """
     if not seeds:
         raise UsageError("no seed was given; give at least one.")
+    if len(seeds) > MOST_SEEDS:
+        raise UsageError(f"{len(seeds):,} seeds were given; at most {MOST_SEEDS:,} can be, split them over several runs.")
+    seen = set()
     for seed in seeds:
         if seed < 0:
             raise UsageError(f"a seed cannot be {seed}; it must be 0 or more.")
-        if list(seeds).count(seed) > 1:
+        if seed in seen:
             raise UsageError(f"the seed {seed} was given twice; give it once.")
+        seen.add(seed)
     return tuple(seeds)
 
 

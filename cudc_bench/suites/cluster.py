@@ -24,7 +24,7 @@ from cudc_bench.artefacts.records import Record, record_path
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.parallel import use_cores
-from cudc_bench.files import unwritable, write_atomically
+from cudc_bench.files import read_limited, unwritable, write_atomically
 from cudc_bench.settings.config import config_hash
 
 from .display import Display
@@ -220,7 +220,7 @@ def _threshold_of(pilots: dict[Job, Any], job: Job, known: bytes) -> Any:
 
 def _thresholds() -> bytes:
     with suppress(OSError):
-        return Path(os.environ.get(THRESHOLDS) or "thresholds.json").read_bytes()
+        return read_limited(Path(os.environ.get(THRESHOLDS) or "thresholds.json"))
     return b""
 
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cudc_bench import plugins
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError, nearest, unknown
-from cudc_bench.files import check_path, check_regular
+from cudc_bench.files import check_path, read_limited
 from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.settings.seeds import check_seeds, parse_seeds
 
@@ -250,10 +250,7 @@ def _check_profile(name: str, where: str = "") -> None:
 
 def _read(path: Path) -> _File:
     try:
-        check_regular(path)
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UsageError(f"the suite '{path}' is too large to be one; it may have {_LARGEST_FILE:,} bytes.")
-        return _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return _File.model_validate(tomllib.loads(read_limited(path, _LARGEST_FILE).decode("utf-8")))
     except FileNotFoundError:
         raise UsageError(f"there is no suite '{path}'; with the package come: {', '.join(suite_names())}.") from None
     except OSError as error:

@@ -23,7 +23,7 @@ from cudc_bench.data.staging import building_path, staging, tidy
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.progress import Listener, listening
-from cudc_bench.files import unwritable, write_atomically
+from cudc_bench.files import read_limited, unwritable, write_atomically
 from cudc_bench.stages import ensure_relabelled
 
 from .jobs import Job
@@ -144,7 +144,7 @@ _DOING: dict[str, Callable[[Job, Common], None]] = {
 def is_measured(job: Job, common: Common) -> bool:
     """Whether datasets were compared already; those that are gone count as they were."""
     try:
-        found = json.loads(_stamp(job, common).read_text(encoding="utf-8"))
+        found = json.loads(read_limited(_stamp(job, common)).decode("utf-8"))
         there, files = dict(found["datasets"]), list(found["files"])
         same = set(there) == set(job.datasets) and there | _fingerprints(job) == there
         return same and all((common.report / str(file)).exists() for file in files)
@@ -215,7 +215,7 @@ def _note(common: Common, dataset_id: str) -> None:
 def is_ours(common: Common, dataset_id: str) -> bool:
     """Whether the dataset that stands there is the very one that this suite made."""
     try:
-        note = _Note.model_validate_json(note_path(common, dataset_id).read_bytes())
+        note = _Note.model_validate_json(read_limited(note_path(common, dataset_id)))
     except (OSError, ValidationError):
         return False
     try:

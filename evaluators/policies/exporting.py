@@ -15,7 +15,7 @@ from cudc_bench.artefacts.provenance import versions
 from cudc_bench.envs import check_domain, domain_title, env_id, make_simulators
 from cudc_bench.envs.layouts import action_names, observation_layout
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import check_file, check_path, unwritable, write_atomically
+from cudc_bench.files import check_file, check_path, read_limited, unwritable, write_atomically
 
 from .stored import Policy, check_record, load_policy
 
@@ -127,6 +127,6 @@ def describe(policy: Policy, place: Path, name: str) -> dict[str, Any]:
 
 def _sha256(place: Path) -> str:
     try:
-        return hashlib.sha256(place.read_bytes()).hexdigest()
+        return hashlib.sha256(read_limited(place)).hexdigest()
     except OSError as error:
         raise RunError(f"cannot read the record {place}: {error.strerror}.") from None

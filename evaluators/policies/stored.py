@@ -19,7 +19,7 @@ from cudc_bench.artefacts.provenance import is_own_command, versions
 from cudc_bench.artefacts.records import Record, read_record
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
-from cudc_bench.files import check_path, check_regular, unwritable, write_atomically
+from cudc_bench.files import MOST_WEIGHTS, check_path, read_limited, unwritable, write_atomically
 from cudc_bench.settings.config import field_names
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 
@@ -153,8 +153,7 @@ def _network(kind: Any, record: Record, observation: int, action: int, place: Pa
 def _read_weights(path: Path) -> Mapping[str, Tensor]:
     """Tensors by name. Nothing in the file is ever run."""
     try:
-        check_regular(path)
-        content = path.read_bytes()
+        content = read_limited(path, MOST_WEIGHTS)
     except OSError as error:
         raise RunError(f"cannot read the policy {path}: {error.strerror}.") from None
     try:

@@ -8,6 +8,7 @@ build into an empty folder gives. What the ledger says was written, and no part 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 from collections import defaultdict
@@ -21,11 +22,12 @@ from typing import Any
 
 import cudc_bench
 from cudc_bench.execution.parallel import computed
-from cudc_bench.files import remove_empty_above, unwritable, write_atomically
+from cudc_bench.files import read_limited, remove_empty_above, unwritable, write_atomically
 
 from .files import write_files
 
 LEDGER = ".ledger.json"
+_MOST = 1 << 28  # bytes of a file that is written here; the ledger of ten thousand records has a tenth
 _LIBRARIES = ("jinja2", "matplotlib", "numpy", "pandas", "scipy")
 Contents = Mapping[str, str | bytes]
 
@@ -137,9 +139,11 @@ def _hash(content: str | bytes) -> str:
 
 def _sum(path: Path) -> str | None:
     try:
-        return _hash(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        return None
+        return _hash(read_limited(path, _MOST))
+    except OSError as error:
+        if error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EFBIG, errno.EINVAL):
+            raise
+        return None  # nothing, or not what was written here
 
 
 def _is_current(output: Path, part: Target, key: str, ledger: Mapping[str, Any]) -> bool:
@@ -163,7 +167,7 @@ def _remove(output: Path, before: Mapping[str, Any], after: Mapping[str, Any]) -
 def _read(output: Path) -> dict[str, Any]:
     """The ledger; empty where there is none, or none that could have been written here."""
     try:
-        found = json.loads((output / LEDGER).read_bytes())
+        found = json.loads(read_limited(output / LEDGER, _MOST))
     except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) and all(map(_is_entry, found.values())) else {}

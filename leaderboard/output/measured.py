@@ -16,6 +16,7 @@ from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, UsageError
 from cudc_bench.execution.parallel import computed
+from cudc_bench.files import MOST_LINES, read_limited
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
@@ -144,7 +145,7 @@ def _present(dataset: Dataset) -> tuple[str, Manifest] | None:
 
 def _read(path: Path) -> dict[str, _Measures]:
     try:
-        return dict(_Kept.model_validate_json(path.read_bytes()).measures)
+        return dict(_Kept.model_validate_json(read_limited(path)).measures)
     except (OSError, ValidationError):
         return {}  # Measured again.
 
@@ -155,14 +156,14 @@ def _is_fresh(measures: _Measures | None, dataset_id: str) -> bool:
 
 def _digest(dataset_id: str) -> str:
     try:
-        return hashlib.sha256(diagnostics_path(dataset_id).read_bytes()).hexdigest()
+        return hashlib.sha256(read_limited(diagnostics_path(dataset_id), MOST_LINES)).hexdigest()
     except OSError:
         return ""
 
 
 def _kept_figure(path: Path, digest: str) -> bytes | None:
     try:
-        content = path.read_bytes()
+        content = read_limited(path)
     except OSError:
         return None
     return content if hashlib.sha256(content).hexdigest() == digest else None

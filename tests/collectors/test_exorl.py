@@ -456,7 +456,7 @@ def test_a_large_file_is_not_even_read(tmp_path: Path) -> None:
         file.truncate(100 * LARGEST)
     tracemalloc.start()
     try:
-        with pytest.raises(FileFault, match="is larger than 16,777,216 bytes"):
+        with pytest.raises(FileFault, match="it has 1,677,721,600 bytes, where 16,777,216 are the most"):
             read_episode(EpisodeFile(path, 0, 5), WALKER)
         assert tracemalloc.get_traced_memory()[1] < 3 * LARGEST
     finally:

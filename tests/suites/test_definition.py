@@ -92,7 +92,7 @@ def test_every_suite_of_the_package_can_be_copied(tmp_path: Path) -> None:
         ("methods = [", "is not TOML: "),
         ("a = " + "[" * 5000, "nested too deeply"),
         (b"\xff\xfe", "is not UTF-8 text"),
-        ("#" * 1_000_001, "too large"),
+        ("#" * 1_000_001, "it has 1,000,001 bytes, where 1,000,000 are the most"),
     ],
 )
 def test_what_is_wrong_is_named(text: str | bytes, says: str, tmp_path: Path) -> None:
