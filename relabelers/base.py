@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-import mujoco
 import numpy as np
 
 from cudc_bench.envs import Domain, make_simulators, reward_function
+from cudc_bench.envs.headless import mujoco
 from cudc_bench.envs.simulator import PHYSICS, Float32, Float64, MujocoSimulator
 
 

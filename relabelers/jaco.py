@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import mujoco
+from cudc_bench.envs.headless import mujoco
 
 from .base import KinematicRelabeler
 

@@ -56,7 +56,9 @@ def knows_commit(name: str) -> bool:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=10)
+    # Variables such as GIT_DIR, which a hook has for one, would make it speak of another repository.
+    env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    done = subprocess.run(["git", "-C", str(folder), *arguments], env=env, capture_output=True, text=True, check=True, timeout=10)
     return done.stdout.strip()
 
 

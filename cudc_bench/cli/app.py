@@ -135,7 +135,7 @@ def _run(arguments: list[str] | None) -> int:
         _complain(f"the system refused to go on: {error.strerror or error}{where}.", error)
         code = 1
         _forget_output()
-    except (MemoryError, RuntimeError) as error:
+    except Exception as error:
         if not _is_out_of_memory(error):
             raise
         _complain("there is not enough memory for these sizes; choose a smaller profile, or smaller steps, width or batch_size.", error)
@@ -156,9 +156,10 @@ def _forget_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _is_out_of_memory(error: BaseException) -> bool:
-    """Whether NumPy or PyTorch could not get the memory; PyTorch says so in a RuntimeError's text only."""
-    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
+def _is_out_of_memory(error: Exception) -> bool:
+    """Whether the memory could not be had; PyTorch and MuJoCo say so in the text of an error of another kind."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or "allocate memory" in text or "out of memory" in text
 
 
 def _complain(message: str, error: BaseException | None = None, kind: str = "error") -> None:

@@ -6,10 +6,10 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.headless import mujoco
 from cudc_bench.envs.simulator import Float32, Float64, MujocoSimulator
 
 if TYPE_CHECKING:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.headless import mujoco
 from cudc_bench.envs.simulator import Float32, Float64, MujocoSimulator, tolerance_above
 from cudc_bench.errors import RunError
 

@@ -10,11 +10,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, Self
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench.envs.domains import Domain
+from cudc_bench.envs.headless import mujoco
 from cudc_bench.errors import BrokenDownError
 
 Float32 = NDArray[np.float32]

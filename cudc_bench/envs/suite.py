@@ -12,8 +12,12 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Self
 
+# Before dm_control, which would look for OpenGL by itself.
+from cudc_bench.envs.headless import mujoco
+
+# isort: split
+
 import absl.logging
-import mujoco
 import numpy as np
 from dm_control import suite
 from dm_control.mujoco import Physics

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.headless import mujoco
 from cudc_bench.envs.simulator import Float32, Float64, MujocoSimulator, gaussian_above, tolerance_above
 
 _TORSO = 1  # body 0 is the world

@@ -97,3 +97,35 @@ def test_no_file_takes_the_place_of_a_closed_stream(tmp_path: Path) -> None:
     os.waitpid(child, 0)
     assert os.read(read, 1) == b"1"
     assert (tmp_path / "data").read_bytes() == b""
+
+
+class FatalError(Exception):
+    """As MuJoCo's is called."""
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), FatalError("Could not allocate memory"), RuntimeError("DefaultCPUAllocator: can't allocate memory")]
+)
+def test_whoever_wants_more_memory_than_there_is_says_so(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise error
+
+    only(monkeypatch, fail)
+    with pytest.raises(SystemExit) as ended:
+        main(["it"])
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith("cudc-bench: error: there is not enough memory for these sizes; ")
+
+
+def test_a_backend_that_matplotlib_does_not_know_is_no_reason_not_to_draw() -> None:
+    script = """
+from cudc_bench.leaderboard.show.figures.drawing import figure_files, framed
+import os
+assert set(figure_files("one", lambda: framed("title", {"a": {}}, 1, 1)[0], ["svg"])) == {"one.svg"}
+assert os.environ["MPLBACKEND"] == "nonsense"
+"""
+    env = os.environ | {"MPLBACKEND": "nonsense"}
+    done = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (0, "")

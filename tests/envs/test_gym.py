@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 
@@ -12,6 +15,8 @@ from gymnasium.utils.env_checker import check_env
 
 from cudc_bench.envs import DOMAINS, env_id, make_simulators
 from cudc_bench.envs.simulator import MujocoSimulator, random_state
+
+from ..waiting import PATIENCE
 
 # Observations, actions, states, steps, largest return, seconds of a control step: spec of ExORL and dm_control.
 FACTS = {
@@ -182,3 +187,11 @@ print(sorted(name for name in sys.modules if name.split(".")[0] in ("glfw", "Ope
 """
     done = python(script, without=("DISPLAY", "MUJOCO_GL"))
     assert done == (0, "[]\n", "")
+
+
+def test_variables_about_drawing_decide_nothing_where_nothing_draws() -> None:
+    variables = {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "egl"}  # which never go together
+    script = "import os, cudc_bench.envs.suite, gymnasium; gymnasium.make('cudc_bench/walker-walk-v0').reset(seed=1);"
+    script += f"assert {{name: os.environ.get(name) for name in {list(variables)}}} == {variables}"
+    done = subprocess.run([sys.executable, "-c", script], env=os.environ | variables, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (0, "")

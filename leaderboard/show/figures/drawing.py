@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -33,6 +36,7 @@ _STYLE = {
 
 def figure_files(name: str, draw: Callable[[], Figure], kinds: Sequence[str] = ("svg", "pdf")) -> dict[str, bytes]:
     """``<name>.svg``, whose text stays text, and ``<name>.pdf`` of the figure that ``draw`` returns; neither holds a date."""
+    _import_matplotlib()
     from matplotlib import style
 
     # The user's own matplotlib settings must not change the figure.
@@ -43,6 +47,19 @@ def figure_files(name: str, draw: Callable[[], Figure], kinds: Sequence[str] = (
         figure.set_layout_engine("none")
         dates = {"svg": "Date", "pdf": "CreationDate"}
         return {f"{name}.{kind}": _saved(figure, kind, {dates[kind]: None}) for kind in kinds}
+
+
+def _import_matplotlib() -> None:
+    """Import it though ``MPLBACKEND`` may name what it does not know, which it would not survive: nothing here opens a window."""
+    if "matplotlib" in sys.modules or not (asked := os.environ.pop("MPLBACKEND", "")):
+        return
+    try:
+        import matplotlib
+
+        with suppress(ValueError):
+            matplotlib.rcParams["backend"] = asked  # as it does itself
+    finally:
+        os.environ["MPLBACKEND"] = asked
 
 
 def framed(
