@@ -7,7 +7,7 @@ import os
 import platform
 import stat
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -97,6 +97,44 @@ def check_regular(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+LeftOut = Callable[[OSError], None]
+
+
+def walk(folder: Path, left_out: LeftOut | None = None, once: bool = True) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """As ``os.walk``, in sorted order, and through symbolic links: people keep what is large on another disk.
+
+    Args:
+        folder: where to begin; if there is none, nothing is found.
+        left_out: told of each folder that cannot be read.
+        once: a folder that several links lead to is entered through the first alone; otherwise through all but those that lead back to
+            where one has come from.
+
+    Yields:
+        A folder, the names of the folders in it, from which whoever hears of them takes those that shall not be entered, and of the files.
+    """
+    if not folder.is_dir():
+        return
+    seen = {_identity(folder)}
+    above = {str(folder): frozenset(seen)}
+    for place, folders, names in os.walk(folder, onerror=left_out, followlinks=True):
+        kept = []
+        for name in sorted(folders):
+            path = os.path.join(place, name)
+            with suppress(OSError):
+                one = _identity(path)
+                if one not in (seen if once else above[place]):
+                    seen.add(one)
+                    above[path] = above[place] | {one}
+                    kept.append(name)
+        folders[:] = kept
+        yield Path(place), folders, sorted(names)
+
+
+def _identity(path: str | Path) -> tuple[int, int]:
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
 
 
 def read_limited(path: Path, most: int = MOST_TEXT) -> bytes:

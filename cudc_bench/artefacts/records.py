@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,7 +26,7 @@ from pydantic import (
 
 from cudc_bench.artefacts.manifest import RewardFunction, Source
 from cudc_bench.errors import RunError
-from cudc_bench.files import read_limited, unwritable, write_atomically
+from cudc_bench.files import LeftOut, read_limited, unwritable, walk, write_atomically
 from cudc_bench.settings.evaluate_config import BEFORE
 
 SCHEMA_VERSION = 1
@@ -277,15 +278,23 @@ def record_path(
     return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}{training}.json")
 
 
-def record_files(folder: Path) -> list[Path]:
-    """Every record below a folder, sorted; none of what is kept there of runs that are not done, which is hidden, and no reference."""
-    return [path for path in visible_files(folder, "*.json") if path.name != REFERENCE]
+def record_files(folder: Path, left_out: LeftOut | None = None) -> list[Path]:
+    """Every record below a folder, sorted; none of what is kept there of runs that are not done, which is hidden, and no reference.
+
+    Args:
+        folder: whose; links in it are followed.
+        left_out: told of each folder below it that cannot be read.
+    """
+    return [path for path in visible_files(folder, "*.json", left_out) if path.name != REFERENCE]
 
 
-def visible_files(folder: Path, pattern: str) -> list[Path]:
-    """The files below a folder that fit a pattern, sorted, without hidden ones and those in hidden folders."""
-    found = (path for path in sorted(folder.rglob(pattern)) if not path.is_dir())
-    return [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+def visible_files(folder: Path, pattern: str, left_out: LeftOut | None = None) -> list[Path]:
+    """The files below a folder that fit a pattern, sorted, without hidden ones and those in hidden folders; see :func:`record_files`."""
+    found = []
+    for place, folders, names in walk(folder, left_out):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += [place / name for name in names if not name.startswith(".") and fnmatchcase(name, pattern)]
+    return sorted(found)
 
 
 def to_json(record: Record) -> str:

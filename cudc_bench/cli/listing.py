@@ -9,6 +9,8 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from cudc_bench.files import LeftOut
+
 
 def list_command(
     results: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
@@ -21,16 +23,20 @@ def list_command(
     from cudc_bench.files import check_folder
 
     broken: list[str] = []
+
+    def left_out(error: OSError) -> None:
+        broken.append(f"{error.filename} cannot be read: {error.strerror}.")
+
     folder = check_folder(results, "the folder of the records", writable=False)
     console = Console()
-    for table in (_methods(broken), _domains(), _algorithms(broken), _profiles(), _datasets()):
+    for table in (_methods(broken), _domains(), _algorithms(broken), _profiles(), _datasets(left_out)):
         console.print(table)
-    for line in broken:
-        echo(f"left out: {line}")
     for line in _unfinished():
         console.print(line, markup=False, highlight=False)
-    records, references = len(record_files(folder)), len(visible_files(folder, REFERENCE))
+    records, references = len(record_files(folder, left_out)), len(visible_files(folder, REFERENCE))
     console.print(f"Records in {folder}: {records}; references: {references}", markup=False)
+    for line in broken:
+        echo(f"left out: {line}")
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -92,7 +98,7 @@ def _profiles() -> Table:
     return table
 
 
-def _datasets() -> Table:
+def _datasets(left_out: LeftOut) -> Table:
     from rich import box
 
     from cudc_bench.artefacts.ids import dataset_path, datasets_root
@@ -102,7 +108,7 @@ def _datasets() -> Table:
 
     root = datasets_root()
     rows = []
-    for one in stored_ids():
+    for one in stored_ids(left_out=left_out):
         try:
             manifest = read_manifest(one)
         except CudcBenchError:

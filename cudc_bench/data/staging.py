@@ -13,7 +13,7 @@ from pathlib import Path
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.execution.locks import held_by, locked
-from cudc_bench.files import sync, sync_tree, unwritable, write_atomically
+from cudc_bench.files import sync, sync_tree, unwritable, walk, write_atomically
 
 
 @contextmanager
@@ -94,11 +94,13 @@ def unfinished(root: Path | None = None) -> list[tuple[DatasetId, str | None]]:
     """The datasets that are being built, or were when a process ended, each with the process that builds it now, if one does."""
     root = root or datasets_root()
     found = []
-    for path in sorted(root.rglob(".*.building")):
-        with suppress(UsageError):
-            one = parse_id((path.parent / path.name[1:].removesuffix(".building")).relative_to(root).as_posix())
-            found.append((one, held_by(_lock(dataset_path(one, root)))))
-    return found
+    for place, folders, _ in walk(root, once=False):
+        for name in (one for one in folders if one.startswith(".") and one.endswith(".building")):
+            with suppress(UsageError):
+                one = parse_id((place / name[1:].removesuffix(".building")).relative_to(root).as_posix())
+                found.append((one, held_by(_lock(dataset_path(one, root)))))
+        folders[:] = [name for name in folders if not name.startswith(".")]
+    return sorted(found, key=lambda one: str(one[0]))
 
 
 def tidy(dataset_id: DatasetId, root: Path | None = None) -> None:

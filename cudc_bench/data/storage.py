@@ -8,6 +8,7 @@ relabelled dataset, links to the same episode of its base.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -129,7 +130,25 @@ def _check_target(file: h5py.File, group: Any, index: int, name: str, base: Path
         raise ValueError(f"/episode_{index}/{name} is no link to its base")
     there, inside = (part.decode("utf-8", "replace") for part in group.links.get_val(name.encode()))
     if inside != f"/episode_{index}/{name}" or not _same(Path(file.filename).parent / there, base):
+        if behind := behind_link(Path(file.filename), there, base):
+            raise ValueError(behind)
         raise ValueError(f"/episode_{index}/{name} links to '{there[:200]}' ({inside[:200]}), which is not that episode of its base")
+
+
+def behind_link(path: Path, there: str, base: Path) -> str:
+    """What is the matter with a link into a base that would be right if no symbolic link lay on the way; empty if something else is.
+
+    Args:
+        path: the file of the labelled dataset.
+        there: where its link leads, as it is written.
+        base: the file that it should lead to.
+    """
+    if not _same(Path(os.path.normpath(path.absolute().parent / there)), base):
+        return ""
+    return (
+        f"the labelled dataset lies behind a symbolic link, really in '{path.resolve().parents[1]}', from where its links to its base lead "
+        "elsewhere; link the whole root instead, or label it there with relabel --standalone"
+    )
 
 
 def _same(path: Path, other: Path) -> bool:

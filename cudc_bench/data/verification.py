@@ -26,7 +26,7 @@ from cudc_bench.artefacts.provenance import processor, versions
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.metadata import minari_metadata
 from cudc_bench.data.reader import check_base, read_field
-from cudc_bench.data.storage import LINKED, READ_ERRORS, check_links, open_field, row_kinds
+from cudc_bench.data.storage import LINKED, READ_ERRORS, behind_link, check_links, open_field, row_kinds
 from cudc_bench.data.writer import episode_attributes
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.playback import Fault, Playback
@@ -281,7 +281,8 @@ class _Verifier:
             self._fail("base", f"{member} is no link to episode {index} of '{base.id}'", index)
         target = self._path.parent / link.filename
         if not (target.exists() and target.samefile(wanted)):
-            self._fail("base", f"{member} links to {link.filename!r:.99}, which is not '{base.id}'", index)
+            behind = behind_link(self._path, link.filename, wanted)
+            self._fail("base", behind or f"{member} links to {link.filename!r:.99}, which is not '{base.id}'", index)
 
     def _check_shape(self, group: h5py.Group, field: str, length: int, facts: Domain, index: int) -> None:
         dataset = open_field(group, field)

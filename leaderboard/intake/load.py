@@ -17,6 +17,7 @@ from cudc_bench.artefacts.records import Record, parse_record, read_content, rec
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.errors import RunError
 from cudc_bench.execution.progress import bar_if_long
+from cudc_bench.files import LeftOut
 from cudc_bench.text import plain
 
 from ..numbers.columns import column
@@ -80,7 +81,11 @@ def load_records(paths: Iterable[Path]) -> Loaded:
 
 def read_all(paths: Iterable[Path]) -> Iterator[tuple[Path, Record | RunError, str]]:
     """Every record below some paths, as :func:`load_records` finds them, or why it cannot be one, and a hash of its file."""
-    found = files(paths)
+    left_out: list[OSError] = []
+    found = files(paths, left_out.append)
+    for error in left_out:
+        place = Path(error.filename)
+        yield place, RunError(f"the records in {place} are left out: it cannot be read: {error.strerror}."), ""
     with _without_collector(), bar_if_long("reading records", len(found), "files") as advance:
         for path in found:
             try:
@@ -144,11 +149,11 @@ def to_frame(records: Iterable[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def files(paths: Iterable[Path]) -> list[Path]:
-    """Files, and every record below folders in sorted order, each once."""
+def files(paths: Iterable[Path], left_out: LeftOut | None = None) -> list[Path]:
+    """Files, and every record below folders in sorted order, each once; ``left_out`` is told of folders that cannot be read."""
     found: dict[str, Path] = {}
     for path in paths:
-        for file in record_files(path) if path.is_dir() else [path]:
+        for file in record_files(path, left_out) if path.is_dir() else [path]:
             found.setdefault(os.path.realpath(file), file)
     return list(found.values())
 
