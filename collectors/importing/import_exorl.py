@@ -45,9 +45,10 @@ def import_exorl(
 ) -> str:
     """Turn a folder of ExORL's or URLB's episode files into a Minari dataset.
 
-    Files are read one at a time, in the order of their episode indices. Each is checked; the first that does not fit ends the import,
-    and nothing of it stays. Simulator states become ``infos/physics``; other numeric arrays with a row for each step, such as skills,
-    become ``infos/<name>``, whose row t belongs to the action that led to observation t.
+    Files are read one at a time, in the order of their episode indices. Each is checked; if one does not fit, the others are only checked
+    from there on, so that all are named that do not, and nothing of the import stays. Simulator states become ``infos/physics``; other
+    numeric arrays with a row for each step, such as skills, become ``infos/<name>``, whose row t belongs to the action that led to
+    observation t.
 
     Args:
         directory: the folder that holds the ``.npz`` files.
@@ -64,8 +65,8 @@ def import_exorl(
         The id of the dataset.
 
     Raises:
-        UsageError: wrong input, or the first file does not fit; nothing has been written.
-        RunError: a later file does not fit, or the dataset cannot be written.
+        UsageError: wrong input, or the first file does not fit, perhaps among others; nothing has been written.
+        RunError: later files do not fit, or the dataset cannot be written.
     """
     started = time.monotonic()
     facts = check_domain(domain)
@@ -83,14 +84,15 @@ def import_exorl(
     total = sum(file.length for file in files)
     if steps is not None and not 1 <= steps <= total:
         raise UsageError(f"--steps cannot be {steps:,}; there are {total:,} steps in '{folder}'.")
-    try:
-        first = read_episode(files[0], facts)
-        _episode(first, files[0].length, facts, task)
-    except FileFault as fault:
-        raise UsageError(_message(files[0], fault)) from None
-
     chosen = list(_first_steps(files, total if steps is None else steps))
     total = sum(length for _, length in chosen)
+    try:
+        first = read_episode(files[0], facts)
+        _episode(first, chosen[0][1], facts, task)
+    except FileFault as fault:
+        with bars([("look for more such files", total)], "steps") as (advance,):
+            raise UsageError(_faults(chosen, 0, fault, facts, None, task, advance)) from None
+
     echo(f"import {method} on {domain} from {folder}: {len(chosen):,} files, {total:,} steps")
     for line in _remarks(files, first.layout, task):
         echo(line)
@@ -127,6 +129,9 @@ def import_exorl(
     return str(one)
 
 
+_MOST_FAULTS = 100  # files that are named; with more of them, something else is wrong
+
+
 @dataclass
 class _Tally:
     """What adds up over the files of an import."""
@@ -150,22 +155,56 @@ def _episodes(
     """The episodes in this project's alignment, one in memory at a time.
 
     Raises:
-        RunError: a file does not fit.
+        RunError: files do not fit; the message names them.
     """
-    for file, length in chosen:
+    for index, (file, length) in enumerate(chosen):
         if interrupts.requested():
             raise KeyboardInterrupt
         try:
-            raw = read_episode(file, domain)
-            if raw.layout != layout:
-                raise FileFault(f"holds other optional arrays ({raw.layout}) than '{chosen[0][0].path.name}' ({layout})")
-            episode = _episode(raw, length, domain, task)
+            raw, episode = _checked(file, length, domain, layout, task, chosen[0][0])
         except FileFault as fault:
-            raise RunError(f"{_message(file, fault)} Nothing was written.") from None
+            raise RunError(f"{_faults(chosen, index, fault, domain, layout, task, advance)} Nothing was written.") from None
         yield episode
         tally.sums.update(f"{raw.sha256}  {file.path.name}\n".encode())
         tally.clipped += int(raw.clipped[1 : length + 1].sum())
         advance(length)
+
+
+def _checked(
+    file: EpisodeFile, length: int, domain: Domain, layout: Layout | None, task: str | None, first: EpisodeFile
+) -> tuple[RawEpisode, Episode]:
+    """A file's content, as it is and as an episode; its optional arrays are those of the first file, if that is known."""
+    raw = read_episode(file, domain)
+    if layout is not None and raw.layout != layout:
+        raise FileFault(f"holds other optional arrays ({raw.layout}) than '{first.path.name}' ({layout})")
+    return raw, _episode(raw, length, domain, task)
+
+
+def _faults(
+    chosen: list[tuple[EpisodeFile, int]], index: int, fault: FileFault, domain: Domain, layout: Layout | None, task: str | None,
+    advance: Advance,
+) -> str:  # fmt: skip
+    """What is wrong with a file and with those after it; all are looked at, unless so many do not fit that the first hundred will do."""
+    found, sound = [(chosen[index][0], fault)], index
+    for file, length in chosen[index + 1 :]:
+        if interrupts.requested():
+            raise KeyboardInterrupt
+        if len(found) == _MOST_FAULTS:
+            break
+        try:
+            _checked(file, length, domain, layout, task, chosen[0][0])
+            sound += 1
+        except FileFault as another:
+            found.append((file, another))
+        advance(length)
+    if len(found) == 1:
+        return _message(*found[0])
+    if not sound:  # it is not the files, but what they are taken for
+        return f"{_message(*found[0])} None of the first {len(found)} files fits."
+    for file, one in found:
+        echo(_message(file, one))
+    count = f"{len(found)}{' or more' if len(found) == _MOST_FAULTS else ''} of {len(chosen):,}"
+    return f"{count} files do not fit, from '{found[0][0].path}' to '{found[-1][0].path.name}', each named above; fetch them again."
 
 
 def _episode(raw: RawEpisode, length: int, domain: Domain, task: str | None) -> Episode:

@@ -405,6 +405,23 @@ def test_a_later_file_that_does_not_fit_ends_the_import_with_nothing_left(fault:
     cudc_bench.import_exorl(folder, "proto", steps=5)
 
 
+@pytest.mark.parametrize(("damaged", "code"), [((1, 3), 1), ((0, 2, 3), 2), ((0, *range(2, 120)), 2)])
+def test_all_files_that_do_not_fit_are_named_at_once(
+    damaged: Sequence[int], code: int, datasets: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = write(tmp_path / "files", [random_arrays(5)] * (max(damaged) + 2))
+    for index in damaged:
+        (folder / f"episode_{index:06d}_5.npz").write_bytes(b"PK")
+    with pytest.raises(SystemExit) as ended:
+        main(["import-exorl", str(folder), "--method", "proto"])
+    err = capfd.readouterr().err
+    assert ended.value.code == code, err
+    named = [line for line in err.splitlines() if line.startswith(f"'{folder}/episode_") and "is not a whole .npz archive" in line]
+    assert len(named) == min(len(damaged), 100)
+    assert f"error: {len(named)}{' or more' if len(named) == 100 else ''} of {max(damaged) + 2} files do not fit, from '" in err
+    assert everything(datasets) == []
+
+
 @pytest.mark.parametrize(
     "change",
     [lambda a: a.pop("physics"), lambda a: a.update(skill=np.zeros(6)), lambda a: a.update(option=np.zeros(6, np.int32)),
