@@ -11,7 +11,7 @@ KILLS ?= 200
 TESTERS ?= $(shell $(PYTHON) -c 'import os; print(1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-fast slow lint format screenshots bench gpu-bundle torture mutants docs wheel-check clean
+.PHONY: help setup demo test test-fast test-lowest test-newest slow lint format screenshots bench gpu-bundle torture mutants docs wheel-check clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /: /'
@@ -40,6 +40,21 @@ test: setup  ## Run the tests.
 
 test-fast: setup  ## Run the tests that take less than half a second each.
 	$(BIN)/pytest -n $(TESTERS) --dist worksteal -m "not slow"
+
+# Each in an environment of its own. With the lowest versions comes a PyTorch from PyPI with all of CUDA, 3 GB.
+test-lowest: setup  ## Run the fast tests with the lowest versions that pyproject.toml allows, in build/lowest.
+	$(BIN)/python -m tests.floors > $(VENV)/floors.txt
+	$(call with_versions,lowest,-c $(VENV)/floors.txt)
+
+test-newest: setup  ## Run the fast tests with the newest versions that pyproject.toml allows, in build/newest.
+	$(call with_versions,newest,--upgrade)
+
+define with_versions
+	$(PYTHON) -m venv --clear build/$(1)
+	build/$(1)/bin/pip install --quiet --disable-pip-version-check $(2) -e '.[dev]'
+	build/$(1)/bin/pip check
+	build/$(1)/bin/pytest -n $(TESTERS) --dist worksteal -m "not slow"
+endef
 
 slow: setup  ## Run all tests and note which of them take long, for test-fast.
 	$(BIN)/pytest -n $(TESTERS) --dist worksteal --durations=0 --durations-min=0.05 | tee build/durations.txt | tail -1

@@ -88,7 +88,7 @@ def check_settings(settings: Mapping[str, Any], configs: Iterable[type]) -> None
     allowed = [name for config in configs for name in field_names(config)]
     for name in settings:
         if name not in allowed:
-            raise UsageError(f"nothing here is called '{name}'.{nearest(name, allowed)} Allowed: {', '.join(sorted(allowed))}.")
+            raise UsageError(f"nothing here is called '{name}'.{nearest(name, allowed)} Allowed: {', '.join(sorted(set(allowed)))}.")
 
 
 def build(config: type[ConfigT], *layers: Mapping[str, Any]) -> ConfigT:

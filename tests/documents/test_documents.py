@@ -82,7 +82,7 @@ def check_command(words: list[str]) -> None:
     tasks = check_domain(domain).tasks if domain and "," not in domain and name != "run" else None
     for task in (values.get("tasks") or "all").split(","):
         assert task == "all" or tasks is None or task in tasks, f"{domain} has no task {task}"
-    if values.get("settings") and values["settings"] != ["name=value"]:
+    if values.get("settings") and list(values["settings"]) != ["name=value"]:
         kinds = [plugins.load(kind, one).config_class for kind in ("collectors", "evaluators") for one in plugins.names(kind)]
         loop = importlib.import_module(plugins.target("stages", "collect")[0].rsplit(".", 1)[0] + ".loop").CollectConfig
         check_settings(parse_settings(values["settings"]), [*kinds, EvaluateConfig, OnlineConfig, loop])
