@@ -18,7 +18,9 @@ def open_streams() -> None:
             os.fstat(number)
         except OSError:
             opened = os.open(os.devnull, os.O_RDWR)
-            if opened != number:
+            if opened == number:
+                os.set_inheritable(number, True)  # processes that are started here have streams, too
+            else:
                 os.dup2(opened, number)
                 os.close(opened)
         if getattr(sys, name) is None:

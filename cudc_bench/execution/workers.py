@@ -23,6 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from cudc_bench.errors import CudcBenchError, RunError, traceback_of, wants_traceback
 from cudc_bench.execution import interrupts
+from cudc_bench.execution.streams import open_streams
 
 T = TypeVar("T")
 Notify = Callable[[Any], None]
@@ -194,6 +195,7 @@ def _serve(pipe: Connection, do: Callable[[T, Notify], Any], begin: Callable[[],
     global _saving
     interrupts.on_sigterm()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+    open_streams()
     _leave_with_parent()
     _end_with_parent(True)
     if begin is not None:

@@ -92,7 +92,7 @@ def test_no_file_takes_the_place_of_a_closed_stream(tmp_path: Path) -> None:
         open_streams()
         with (tmp_path / "data").open("wb") as file:
             print("said")
-            os.write(write, b"%d" % (file.fileno() > 2))
+            os.write(write, b"%d" % (file.fileno() > 2 and all(map(os.get_inheritable, (0, 1, 2)))))
         os._exit(0)
     os.waitpid(child, 0)
     assert os.read(read, 1) == b"1"
