@@ -9,6 +9,12 @@ import os as _os
 if not _os.environ.get("DISPLAY"):
     _os.environ.setdefault("MUJOCO_GL", "disabled")
 
+import sys as _sys
+from importlib import import_module as _import_module
+from importlib.abc import MetaPathFinder as _MetaPathFinder
+from importlib.machinery import ModuleSpec as _ModuleSpec
+from importlib.util import find_spec as _find_spec
+from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
@@ -63,9 +69,7 @@ def __getattr__(name: str) -> _Any:
 
         found = plugins.load("stages", name)
     elif name in _DATA:
-        from importlib import import_module
-
-        found = getattr(import_module(f"cudc_bench.data.{_DATA[name]}"), name)
+        found = getattr(_import_module(f"cudc_bench.data.{_DATA[name]}"), name)
     else:
         raise AttributeError(f"module 'cudc_bench' has no attribute '{name}'")
     globals()[name] = found
@@ -74,3 +78,31 @@ def __getattr__(name: str) -> _Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
+
+
+class _AfterGymnasium(_MetaPathFinder):
+    """Registers the environments' ids once Gymnasium has registered its own.
+
+    Gymnasium takes a quarter of a second to import, which ``cudc-bench --help`` would have to wait for.
+    """
+
+    def find_spec(self, name: str, path: object = None, target: _ModuleType | None = None) -> _ModuleSpec | None:
+        if name != "gymnasium.envs":
+            return None
+        _sys.meta_path.remove(self)
+        spec = _find_spec(name)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def then_register(module: _ModuleType) -> None:
+                execute(module)
+                _import_module("cudc_bench.envs")
+
+            spec.loader.exec_module = then_register  # type: ignore[method-assign]
+        return spec
+
+
+if "gymnasium.envs" in _sys.modules:
+    _import_module("cudc_bench.envs")
+else:
+    _sys.meta_path.insert(0, _AfterGymnasium())

@@ -1,13 +1,14 @@
 """Environments: thin MuJoCo simulators, bit-identical to dm_control's, and their Gymnasium ids.
 
 ``cudc_bench/walker-v0`` is the reward-free domain that collectors explore; ``cudc_bench/walker-walk-v0`` and its siblings are the
-tasks. Importing this registers the ids and nothing more: MuJoCo is loaded when the first environment is made. Domains of dm_control's
-suite are not registered: ``gymnasium.make(env_spec("dm_control/cheetah-run", "run"))`` makes one.
+tasks. Importing this or the package registers the ids and nothing more: MuJoCo is loaded when the first environment is made. Domains of
+dm_control's suite are not registered: ``gymnasium.make(env_spec("dm_control/cheetah-run", "run"))`` makes one.
 """
 
 from __future__ import annotations
 
-import gymnasium
+# Not from ``gymnasium`` itself: this may be imported while that is (see ``cudc_bench/__init__.py``).
+from gymnasium.envs import registration
 from gymnasium.envs.registration import EnvSpec
 
 from cudc_bench.artefacts.ids import domain_slug
@@ -58,8 +59,8 @@ def register() -> None:
     for domain in DOMAINS.values():
         for task in (None, *domain.tasks):
             spec = env_spec(domain.name, task)
-            if spec.id not in gymnasium.registry:
-                gymnasium.register(spec.id, spec.entry_point, max_episode_steps=spec.max_episode_steps, kwargs=spec.kwargs)
+            if spec.id not in registration.registry:
+                registration.register(spec.id, spec.entry_point, max_episode_steps=spec.max_episode_steps, kwargs=spec.kwargs)
 
 
 register()

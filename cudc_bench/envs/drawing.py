@@ -32,6 +32,7 @@ _NONE = {"", "disabled", "disable", "off", "false", "0"}
 # Of the domains whose models have no camera that shows all there is to see; see drawing_process.py.
 OVERVIEW = "overview"
 _CAMERAS: dict[str, str] = {"walker": "side", "quadruped": OVERVIEW, "jaco": OVERVIEW}
+SMALLEST, LARGEST = 16, 4096  # width and height of frames, pixels
 REQUEST = struct.Struct("<QQ")  # the head of one: seed, number of states
 
 

@@ -71,6 +71,7 @@ class _Painter:
         self._domain, self._task = job["domain"], job["task"]
         self._size = job["width"], job["height"]
         self.states = check_domain(self._domain).physics_size
+        self._seed: int | None = None
         (self._simulator,) = make_simulators(self._domain, 1)
         self._model, self._data = self._simulator.compiled
         quality, limits = self._model.vis.quality, self._model.vis.global_
@@ -88,6 +89,10 @@ class _Painter:
         self.renderer = mujoco.Renderer(self._model, height, width)
 
     def restart(self, seed: int) -> None:
+        # An environment asks for its frames one by one, and some resets take longer than a frame.
+        if seed == self._seed:
+            return
+        self._seed = seed
         self._simulator.reset(seed)
         if self._domain == "jaco":
             self._place_target()

@@ -11,7 +11,7 @@ import numpy as np
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs import check_domain, make_simulators
-from cudc_bench.envs.drawing import Drawer, check_camera
+from cudc_bench.envs.drawing import LARGEST, SMALLEST, Drawer, check_camera
 from cudc_bench.envs.rewards import CustomReward, load_reward
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.parallel import Job, cores, run_jobs
@@ -23,7 +23,6 @@ from .stored import check_record, load_policy
 from .video import Frame, check_length, check_video, find_ffmpeg, write_video
 
 _SIZES = {".mp4": (640, 480), ".gif": (320, 240)}
-_SMALLEST, _LARGEST = 16, 4096
 _MOST_EPISODES = 100
 
 
@@ -123,8 +122,8 @@ def _size(path: Path, width: int | None, height: int | None) -> tuple[int, int]:
     usual = _SIZES.get(path.suffix.lower(), _SIZES[".mp4"])
     size = (usual[0] if width is None else width, usual[1] if height is None else height)
     for option, value in zip(("--width", "--height"), size, strict=True):
-        if not _SMALLEST <= value <= _LARGEST:
-            raise UsageError(f"{option} takes {_SMALLEST} to {_LARGEST}, not {value}.")
+        if not SMALLEST <= value <= LARGEST:
+            raise UsageError(f"{option} takes {SMALLEST} to {LARGEST}, not {value}.")
     return size
 
 

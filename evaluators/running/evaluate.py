@@ -137,8 +137,8 @@ def evaluate(
         f" {total:,} gradient steps, {execution.device}"
         + (f"; {len(runs) - len(left)} recorded before are kept" if len(left) < len(runs) else "")
     )
-    for one in work.stacks:
-        echo_if_slower(one.plan.loop.precision, one.plan.config, one.engine, execution.device)
+    for begun in work.stacks:
+        echo_if_slower(begun.plan.loop.precision, begun.plan.config, begun.engine, execution.device)
     own = None if wanted.reward is None else wanted.reward.reference
     work.carry_out(evaluate_members, unit="gradient steps", total=total, threads=chosen.threads, reward=own, policies=policies)
     return [run.path for run in runs]

@@ -33,7 +33,8 @@ RUN = {
     (REWARD, "def hop"): "test_own_rewards",
     (REWARD, "def careful"): "test_own_rewards",
     (DOMAIN, "__main__"): "test_another_domain",
-    (DATA, "import minari"): "test_minari_reads",
+    (DATA, "rewards.sum"): "test_minari_reads",
+    (DATA, "options="): "test_an_episode_goes_on",
     (DATA, "to_d3rlpy"): "tests/data/test_exports.py::test_the_documents_exports_run",
     (DATA, "import jax"): "test_jax_trains",
     (POLICIES, "torch.export.load"): "test_policies_leave",
@@ -131,7 +132,14 @@ def test_another_domain(follow: Callable[[str], list[str]], run: Callable[..., s
 
 
 def test_minari_reads(run: Callable[..., str], smoke: Path) -> None:
-    assert run(block(DATA, "import minari")).startswith("(1001, 24) (1000, 6) ")
+    assert run(block(DATA, "rewards.sum")).startswith("(1001, 24) (1000, 6) ")
+
+
+def test_an_episode_goes_on(run: Callable[..., str], smoke: Path) -> None:
+    code = block(DATA, "options=")
+    if probe() is None:
+        code = code.replace("environment.render().shape", "(480, 480, 3)")
+    assert run(code) == "True (480, 480, 3)\n"
 
 
 def test_jax_trains(run: Callable[..., str], smoke: Path) -> None:

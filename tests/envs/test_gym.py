@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import pickle
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from importlib.metadata import entry_points
 
 import gymnasium
 import numpy as np
@@ -14,7 +17,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from cudc_bench.envs import DOMAINS, env_id, make_simulators
+from cudc_bench.envs.drawing import probe
+from cudc_bench.envs.gym import SimulatorEnv
 from cudc_bench.envs.simulator import MujocoSimulator, random_state
+from cudc_bench.errors import UsageError
 
 from ..waiting import PATIENCE
 
@@ -195,3 +201,195 @@ def test_variables_about_drawing_decide_nothing_where_nothing_draws() -> None:
     script += f"assert {{name: os.environ.get(name) for name in {list(variables)}}} == {variables}"
     done = subprocess.run([sys.executable, "-c", script], env=os.environ | variables, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        "import sys, cudc_bench; light = 'gymnasium' not in sys.modules; import gymnasium",
+        "import gymnasium, cudc_bench; light = True",
+    ],
+)
+def test_importing_the_package_registers_the_ids_in_either_order(script: str, python: Callable) -> None:
+    """And does not load Gymnasium, for which the command line would have to wait."""
+    done = python(f"{script}; print(light, gymnasium.make('cudc_bench/walker-walk-v0').unwrapped.reset(seed=0)[0].shape)")
+    assert done == (0, "True (24,)\n", "")
+
+
+def test_gymnasium_can_import_the_package_itself(python: Callable) -> None:
+    done = python("import gymnasium; print(gymnasium.make('cudc_bench:cudc_bench/jaco-v0').spec.max_episode_steps)")
+    assert done == (0, "250\n", "")
+
+
+def test_the_plug_in_group_of_gymnasium_names_what_registers() -> None:
+    (point,) = entry_points(group="gymnasium.envs", name="cudc_bench")
+    point.load()()
+    assert set(IDS) <= set(gymnasium.registry)
+
+
+def test_a_pickled_environment_is_the_same_one_anew() -> None:
+    environment = gymnasium.make("cudc_bench/walker-walk-v0", width=64, camera="back")
+    environment.reset(seed=1)
+    copy = pickle.loads(pickle.dumps(environment))
+    assert copy.spec == environment.spec
+    action = np.full(6, 0.3, np.float32)
+    found = []
+    for one in (environment, copy):
+        one.reset(seed=5)
+        observation, reward, *_ = one.step(action)
+        found.append((observation.tobytes(), reward))
+    assert found[0] == found[1]
+    assert found[0][1] > 0
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vectorised_environments_are_the_single_ones(mode: str) -> None:
+    several = gymnasium.make_vec("cudc_bench/walker-walk-v0", num_envs=2, vectorization_mode=mode)
+    try:
+        several.reset(seed=7)
+        observations, rewards, *_, info = several.step(np.full((2, 6), 0.3, np.float32))
+    finally:
+        several.close()
+    for index in range(2):
+        one = gymnasium.make("cudc_bench/walker-walk-v0")
+        one.reset(seed=7 + index)
+        observation, reward, *_, expected = one.step(np.full(6, 0.3, np.float32))
+        assert observations[index].tobytes() == observation.tobytes()
+        assert info["physics"][index].tobytes() == expected["physics"].tobytes()
+        assert rewards[index] == reward
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (0.5, r"an action cannot have the shape \(\); walker takes 6 numbers in \[-1, 1\]: shape \(6,\)"),
+        (np.zeros(1, np.float32), r"shape \(1,\)"),
+        (np.zeros((1, 6), np.float32), r"shape \(1, 6\)"),
+        (np.zeros(7), r"shape \(7,\)"),
+        (["a"] * 6, "must be an array of numbers"),
+        ([[1.0], [1.0, 2.0]], "must be an array of numbers"),
+        (np.full(6, np.nan), "cannot hold nan"),
+    ],
+)
+def test_what_is_no_action_is_refused_and_nothing_has_moved(action: object, message: str) -> None:
+    environment = gymnasium.make("cudc_bench/walker-v0").unwrapped
+    environment.reset(seed=0)
+    assert isinstance(environment, SimulatorEnv)
+    before = environment._state()
+    with pytest.raises(UsageError, match=message):
+        environment.step(action)  # type: ignore[arg-type]
+    assert environment._state().tobytes() == before.tobytes()
+
+
+def test_an_action_may_be_a_list() -> None:
+    environment, results = gymnasium.make("cudc_bench/quadruped-v0").unwrapped, []
+    for action in ([0.5] * 12, np.full(12, 0.5)):
+        environment.reset(seed=0)
+        results.append(environment.step(action)[0].tobytes())
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("name", FACTS)
+def test_an_episode_can_be_taken_up_at_a_stored_state(name: str) -> None:
+    domain, environment = DOMAINS[name], gymnasium.make(env_id(name))
+    generator = np.random.default_rng(0)
+    environment.reset(seed=0)
+    actions = generator.uniform(-1, 1, (12, domain.action_size)).astype(np.float32)
+    seen = [environment.step(action) for action in actions]
+    observation, info = environment.reset(seed=1, options={"physics": seen[-2][4]["physics"]})
+    assert info["physics"].tobytes() == seen[-2][4]["physics"].tobytes()
+    determined = np.ones(domain.observation_size, np.bool_)
+    for start, stop in domain.beyond_state:
+        determined[start:stop] = False
+    np.testing.assert_array_equal(observation[determined], seen[-2][0][determined])
+    following = environment.step(actions[-1])[4]["physics"]
+    assert (np.abs(following - seen[-1][4]["physics"]) <= domain.step_tolerance * (1 + np.abs(following))).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"state": np.zeros(18)}, "unknown reset option 'state'; allowed: physics"),
+        ({"physics": np.zeros(17)}, r"a stored state cannot have the shape \(17,\); walker has 18 numbers"),
+        ({"physics": np.full(18, np.inf)}, "a stored state cannot hold inf"),
+        ({"physics": np.full(18, 1e11)}, "numbers below 1e\\+10"),
+    ],
+)
+def test_what_is_no_stored_state_is_refused(options: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        gymnasium.make("cudc_bench/walker-v0").reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"render_mode": "ansi"}, "unknown render mode 'ansi'; allowed: human, rgb_array"),
+        ({"camera": "sid"}, "walker has no camera 'sid'.*Did you mean 'side'"),
+        ({"width": 0}, "the width of frames is 16 to 4096 pixels, not 0"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_before_anything_is(arguments: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        SimulatorEnv("walker", **arguments)
+
+
+@pytest.fixture(scope="module")
+def draws() -> None:
+    if probe() is None:
+        pytest.skip("nothing here can draw: neither EGL nor OSMesa is installed")
+
+
+def test_frames_show_the_state_and_can_be_recorded(draws: None, tmp_path) -> None:
+    environment = gymnasium.make("cudc_bench/walker-walk-v0", render_mode="rgb_array", width=96, height=64)
+    assert environment.metadata["render_fps"] == 40  # control steps in a second
+    recorded = environment
+    if importlib.util.find_spec("moviepy") is not None:
+        recorded = gymnasium.wrappers.RecordVideo(environment, str(tmp_path), disable_logger=True)
+    recorded.reset(seed=0)
+    first = environment.render()
+    for _ in range(10):
+        state = recorded.step(np.full(6, 0.5, np.float32))[4]["physics"]
+    second = environment.render()
+    assert first.shape == second.shape == (64, 96, 3)
+    assert first.dtype == np.uint8
+    assert (np.abs(first.astype(int) - second).max(-1) > 30).sum() > 40
+    environment.reset(seed=3, options={"physics": state})
+    assert (environment.render() == second).all()
+    recorded.close()
+    if recorded is not environment:
+        assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]
+    # What was drawn did not touch the episode.
+    blind = gymnasium.make("cudc_bench/walker-walk-v0")
+    blind.reset(seed=0)
+    for _ in range(10):
+        same = blind.step(np.full(6, 0.5, np.float32))[4]["physics"]
+    assert same.tobytes() == state.tobytes()
+
+
+def test_every_step_is_shown_in_a_window(draws: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    environment = gymnasium.make("cudc_bench/walker-v0", render_mode="human", width=96, height=64)
+    shown = []
+    environment.reset(seed=0)
+    for _ in range(2):
+        environment.step(np.full(6, 0.5, np.float32))
+        shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
+    assert shown[0].shape == (96, 64, 3)
+    assert (shown[0] != shown[1]).any()
+    assert environment.render() is None
+    environment.close()
+    assert pygame.display.get_surface() is None
+
+
+def test_without_pygame_a_window_is_refused_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cudc_bench.envs.window.find_spec", lambda name: None)
+    with pytest.raises(UsageError, match="pip install pygame"):
+        gymnasium.make("cudc_bench/walker-v0", render_mode="human")
+
+
+def test_drawing_without_a_mode_is_remarked_upon() -> None:
+    environment = gymnasium.make("cudc_bench/walker-v0").unwrapped
+    environment.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert environment.render() is None
