@@ -1,4 +1,4 @@
-"""``cudc-bench collect``, ``cudc-bench pilot`` and ``cudc-bench import-exorl``."""
+"""``cudc-bench collect``, ``pilot``, ``import-exorl`` and ``import-minari``."""
 
 from __future__ import annotations
 
@@ -122,19 +122,57 @@ def import_exorl(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Turn episode files of ExORL or URLB into a Minari dataset."""
-    from cudc_bench.artefacts.manifest import read_manifest
-    from cudc_bench.execution.progress import echo
-
     from .importing.import_exorl import import_exorl as run
 
+    one_method, one_task, one_seed = _single(method, task, seed, "all files belong to one collection")
+    _imported(
+        run(
+            directory,
+            one_method,
+            domain,
+            task=one_task,
+            steps=steps,
+            seed=one_seed,
+            source=source,
+            dataset_id=dataset_id,
+            overwrite=overwrite,
+        )
+    )
+
+
+def import_minari(
+    dataset: Annotated[str, typer.Argument(help="Id of the Minari dataset, such as walker/mine-v0.")],
+    method: MethodOption,
+    domain: Annotated[
+        str | None, typer.Option("--domain", help="A domain; what the dataset's environment says unless given.", show_default=False)
+    ] = None,
+    task: TasksOption = "",
+    seed: SeedsOption = "1",
+    source: Annotated[str, typer.Option("--source", help="Who collected it, as tables name it.")] = "Minari",
+    dataset_id: DatasetIdOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Turn what Minari's DataCollector or combine made into a dataset that everything here takes."""
+    from .importing.import_minari import import_minari as run
+
+    one_method, one_task, one_seed = _single(method, task, seed, "a dataset is one collection")
+    _imported(run(dataset, one_method, domain, task=one_task, seed=one_seed, source=source, dataset_id=dataset_id, overwrite=overwrite))
+
+
+def _single(method: str, task: str, seed: str, why: str) -> tuple[str, str | None, int]:
+    """The one method, task if any, and seed of what is imported."""
     methods, tasks, seeds = parse_names(method), parse_names(task), parse_seeds(seed)
     for name, values, most in (("--method", methods, "one"), ("--task", tasks, "at most one"), ("--seed", seeds, "one")):
         if len(values) > 1 or not (values or most != "one"):
-            raise UsageError(f"{name} takes {most} here, since all files belong to one collection; import others separately.")
-    one = run(
-        directory, methods[0], domain, task=tasks[0] if tasks else None, steps=steps, seed=seeds[0], source=source,
-        dataset_id=dataset_id, overwrite=overwrite,
-    )  # fmt: skip
+            raise UsageError(f"{name} takes {most} here, since {why}; import others separately.")
+    return methods[0], tasks[0] if tasks else None, seeds[0]
+
+
+def _imported(one: str) -> None:
+    """Say which dataset came to be, and what can be done with it."""
+    from cudc_bench.artefacts.manifest import read_manifest
+    from cudc_bench.execution.progress import echo
+
     print(one)
     manifest = read_manifest(one)
     if manifest.task is not None:

@@ -38,6 +38,7 @@ __all__ = [
     "evaluate",
     "export_policy",
     "import_exorl",
+    "import_minari",
     "load_policy",
     "load_transitions",
     "make_leaderboard",
@@ -53,8 +54,8 @@ __all__ = [
     "verify",
 ]
 _STAGES = (
-    "collect", "pilot", "import_exorl", "relabel", "evaluate", "make_references", "load_policy", "render_policy", "export_policy",
-    "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite",
+    "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "load_policy", "render_policy",
+    "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

@@ -142,7 +142,7 @@ def read_episode(file: EpisodeFile, domain: Domain) -> RawEpisode:
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except Exception as error:  # what parsers of foreign bytes may raise has no end, here and below
-        raise FileFault(f"is not a whole .npz archive ({_words(error)})") from None
+        raise FileFault(f"is not a whole .npz archive ({words(error)})") from None
     members = _members(archive)
     headers = {name: _header(archive, name, member) for name, member in members.items()}
     layout = _check_headers(headers, file.length + 1, domain)
@@ -175,7 +175,7 @@ def _header(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo) -> tup
             shape, _, dtype = read(opened)
             start = opened.tell()
     except Exception as error:
-        raise FileFault(f"holds {name[:80]!a}, whose header cannot be read ({_words(error)})") from None
+        raise FileFault(f"holds {name[:80]!a}, whose header cannot be read ({words(error)})") from None
     if dtype.hasobject:
         raise FileFault(f"holds {name[:80]!a} as Python objects, which are never unpickled")
     if start + math.prod(shape) * dtype.itemsize != member.file_size:
@@ -206,11 +206,11 @@ def _check_headers(headers: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]],
                 f"holds '{name}' with shape {found}; {rows - 1:,} steps of {domain.name} have {shape}" + (f": {hint}" if hint else "")
             )
     others = sorted(headers.keys() - expected.keys())
-    extras = {name: (headers[name][1], headers[name][0][1:]) for name in others if _is_extra(name, *headers[name], rows)}
+    extras = {name: (headers[name][1], headers[name][0][1:]) for name in others if is_extra(name, *headers[name], rows)}
     return Layout("physics" in headers, extras, tuple(f"{name[:80]!a}" for name in others if name not in extras))
 
 
-def _is_extra(name: str, shape: tuple[int, ...], dtype: np.dtype[Any], rows: int) -> bool:
+def is_extra(name: str, shape: tuple[int, ...], dtype: np.dtype[Any], rows: int) -> bool:
     """Whether an unknown array is worth keeping: plain numbers, and a row for each step."""
     numeric = dtype.kind in "biuf" and dtype.itemsize <= 8 and dtype.isnative
     fits = shape[:1] == (rows,) and 1 <= math.prod(shape[1:]) <= MOST_EXTRA
@@ -222,7 +222,7 @@ def _array(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo) -> Arra
         with archive.open(member) as opened:
             array: Array = npy.read_array(opened, allow_pickle=False)
     except Exception as error:
-        raise FileFault(f"holds damaged data in '{name}' ({_words(error)})") from None
+        raise FileFault(f"holds damaged data in '{name}' ({words(error)})") from None
     return np.ascontiguousarray(array)
 
 
@@ -245,7 +245,7 @@ def _check_values(arrays: dict[str, Array]) -> NDArray[np.int64]:
     return clipped
 
 
-def _words(error: BaseException) -> str:
+def words(error: BaseException) -> str:
     """An error's text on one short line of plain characters, whatever a file put into it."""
     text = " ".join(f"{type(error).__name__}: {error}".split()).encode("ascii", "backslashreplace").decode()
     return "".join(c for c in text if c.isprintable())[:120].strip()

@@ -70,8 +70,7 @@ def import_exorl(
     """
     started = time.monotonic()
     facts = check_domain(domain)
-    _check("method", method, Name, "small letters, digits, '_' and '-'")
-    _check("source", source, Source, "at most 32 letters, digits, spaces, '.', '_' and '-'")
+    check_names(method, source)
     if task is not None:
         check_tasks(facts, [task])
     (seed,) = check_seeds([seed])
@@ -254,6 +253,16 @@ def _command(
     options |= {} if source == "ExORL" else {"--source": source}
     options |= {} if one == usual else {"--dataset-id": str(one)}
     return command_line("import-exorl", options, {}, str(folder))
+
+
+def check_names(method: str, source: str) -> None:
+    """Check what others' data are to be called.
+
+    Raises:
+        UsageError: a manifest takes no such name.
+    """
+    _check("method", method, Name, "small letters, digits, '_' and '-'")
+    _check("source", source, Source, "at most 32 letters, digits, spaces, '.', '_' and '-'")
 
 
 def _check(what: str, value: str, kind: Any, allowed: str) -> None:

@@ -264,7 +264,10 @@ def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict
     except (OSError, ValueError) as error:
         raise RunError(f"the metadata of '{dataset_id}' cannot be read ({path}): {error}.") from None
     if not isinstance(metadata, dict) or KEY not in metadata:
-        raise UsageError(f"'{dataset_id}' was not made by cudc-bench: it has no manifest.")
+        raise UsageError(
+            f"'{dataset_id}' was not made by cudc-bench: it has no manifest; a copy that has one: cudc-bench import-minari {dataset_id} "
+            "--method NAME."
+        )
     return metadata
 
 

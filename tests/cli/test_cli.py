@@ -25,8 +25,8 @@ from ..waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
-    "collect", "pilot", "import-exorl", "relabel", "evaluate", "reference", "render", "export", "leaderboard", "submit", "diagnostics",
-    "stats", "verify", "list", "doctor",
+    "collect", "pilot", "import-exorl", "import-minari", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
+    "submit", "diagnostics", "stats", "verify", "list", "doctor",
 )  # fmt: skip
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.
