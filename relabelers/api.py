@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
-from cudc_bench.artefacts.manifest import Base, FieldHasher, Manifest, RewardFunction, check_free, fingerprint, read_manifest
+from cudc_bench.artefacts.manifest import Base, Collected, FieldHasher, Manifest, RewardFunction, check_free, fingerprint, read_manifest
 from cudc_bench.artefacts.provenance import command_line, origin, stamp
 from cudc_bench.data.layout import MAIN_FILE
 from cudc_bench.data.measure import Coverage, measure_coverage
@@ -239,6 +239,7 @@ def _write(wanted: _Wanted, task: str, rewards: list[NDArray[np.float32]], start
             "fields": fields,
             "fingerprint": fingerprint(fields),
             "base": wanted.origin,
+            "collected": Collected(versions=base.versions, machine=base.machine),
             "reward": reward,
             "command": command_line(f"relabel {base_id}", options, {}, *flags),
         }

@@ -108,20 +108,20 @@ def resolve(method: str, domain: str, profile: Profile, settings: Mapping[str, A
     return setting
 
 
-def changed_since(manifest: Manifest) -> dict[str, tuple[Any, Any]]:
+def changed_since(manifest: Manifest) -> dict[str, tuple[Any, Any]] | None:
     """What its method, with the same profile and overrides, has other values for by now than when a dataset was collected.
 
     Args:
         manifest: the dataset's.
 
     Returns:
-        For each such hyperparameter the dataset's value and today's; None stands for one that is not written down. Empty, too, where
+        For each such hyperparameter the dataset's value and today's; None stands for one that is not written down. None in all where
         today's cannot be known: the method is not installed, refuses these overrides, or waits for its pilot.
     """
     try:
         setting = resolve(manifest.method, manifest.domain, resolve_profile(manifest.profile), manifest.overrides)
     except UsageError:
-        return {}
+        return None
     then, now = manifest.hyperparameters, setting.values
     if config_hash(now) == manifest.hyperparameters_hash:
         return {}

@@ -43,6 +43,19 @@ class Base(BaseModel):
     linked: bool
 
 
+class Collected(BaseModel):
+    """What the states and observations of a relabelled dataset were made with, by which they can be made again to the last bit or not.
+
+    Attributes:
+        versions, machine: of the base.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    versions: dict[str, str]
+    machine: dict[str, Any]
+
+
 class RewardFunction(BaseModel):
     """A user's own reward function that labelled a dataset (see ``cudc_bench.envs.rewards``).
 
@@ -132,6 +145,7 @@ class Manifest(BaseModel):
         final_state: SHA-256 of the collector's state after the last step (networks, optimisers, random streams), all members of its stack
             included; empty where it is not known. A relabelled dataset has its base's.
         base: of a relabelled dataset.
+        collected: of a relabelled dataset, what its base was made with; None in those from before this was written down.
         reward: the user's function that labelled it, for a task that is none of the domain's own.
         pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
         imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
@@ -163,6 +177,7 @@ class Manifest(BaseModel):
     fingerprint: _Sha256
     final_state: _Sha256 | Literal[""] = ""
     base: Base | None = None
+    collected: Collected | None = None
     reward: RewardFunction | None = None
     pilot: Pilot | None = None
     imported: Import | None = None

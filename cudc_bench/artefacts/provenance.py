@@ -74,6 +74,30 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
+@cache
+def instructions() -> str:
+    """Those of the processor's instruction sets by which mathematical libraries choose among their versions: ``"avx avx2 fma"``."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return ""
+    flags = next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), [])
+    return " ".join(name for name in ("avx", "avx2", "avx512f", "fma") if name in flags)
+
+
+def same_arithmetic(made_with: Mapping[str, str], made_on: Mapping[str, Any]) -> bool:
+    """Whether a simulation that was made elsewhere has the same bits here: by the same packages on the same kind of machine.
+
+    Args:
+        made_with: versions, as in a manifest.
+        made_on: the machine, as in a manifest; what an old one does not name is taken for the same.
+    """
+    here = machine("cpu", 1)
+    same = all(made_with.get(name) == versions()[name] for name in ("mujoco", "dm-control", "numpy"))
+    named = {"processor": None} | {name: here[name] for name in ("system", "libc", "instructions")} | dict(made_on)
+    return same and all(named[name] == here[name] for name in ("system", "processor", "libc", "instructions"))
+
+
 def command_line(command: str, options: Mapping[str, str], overrides: Mapping[str, Any], *flags: str) -> str:
     """The command that makes something again, quoted for a shell.
 
@@ -130,10 +154,12 @@ def origin(packages: Mapping[str, str]) -> dict[str, Any]:
 
 
 def machine(device: str, threads: int, engine: str | None = None) -> dict[str, Any]:
-    """What a run ran on: system, processor, cores, device and threads used, and the engine of updates where there were any."""
+    """What a run ran on: what decides how it rounds, cores, device and threads used, and the engine of updates where there were any."""
     return {
         "system": f"{platform.system()} {platform.machine()}",
+        "libc": " ".join(platform.libc_ver()).strip(),
         "processor": processor(),
+        "instructions": instructions(),
         "cores": os.cpu_count(),
         "device": device,
         "threads": threads,

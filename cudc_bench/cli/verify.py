@@ -2,35 +2,80 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from cudc_bench.data.verification import Verification
 
 
 def verify(
-    dataset_ids: Annotated[list[str], typer.Argument(help="Datasets, such as walker/cudc-v0.")],
+    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Datasets, such as walker/cudc-v0; with --all alone, all.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Hold all transitions against the simulator, not a sample.")] = False,
     sample: Annotated[int | None, typer.Option("--sample", help="Transitions to simulate, in whole episodes; 20000 by default.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Draw the sample with this seed; drawn anew and printed by default.")] = None,
 ) -> None:
     """Prove datasets: structure, fingerprint, rewards, and by simulation."""
+    from cudc_bench.artefacts.manifest import read_manifest
+    from cudc_bench.data.verification import SAMPLE, draw_seed
+    from cudc_bench.data.verification import verify as run
+    from cudc_bench.execution.progress import echo
+
+    if every and (sample is not None or seed is not None):
+        raise UsageError(f"--all and {'--seed' if sample is None else '--sample'} contradict each other; give one of them.")
+    if not dataset_ids and not every:
+        raise UsageError(
+            "no dataset was named; name some, such as walker/cudc-v0, or give --all for all that there are (see cudc-bench list)."
+        )
+    wanted = list(dict.fromkeys(dataset_ids or _all_of_ours()))
+    for one in dataset_ids or ():
+        read_manifest(one)
+    drawn = draw_seed() if seed is None else seed
+    failed: list[RunError] = []
+    for one in wanted:
+        try:
+            _show(run(one, sample=None if every else SAMPLE if sample is None else sample, seed=drawn))
+        except RunError as error:
+            failed.append(error)
+    if len(failed) > 1:
+        for failure in failed:
+            echo(str(failure))
+        raise RunError(f"{len(failed):,} of {len(wanted):,} datasets fail; what is wrong with each stands above.")
+    if failed:
+        raise failed[0]
+
+
+def _all_of_ours() -> list[str]:
+    """The ids of all datasets that this project made, damaged ones among them."""
+    from cudc_bench.artefacts.ids import datasets_root
+    from cudc_bench.artefacts.manifest import read_manifest, stored_ids
+
+    found = []
+    for one in stored_ids():
+        try:
+            read_manifest(one)
+        except UsageError:
+            continue
+        except RunError:
+            pass
+        found.append(str(one))
+    if not found:
+        raise UsageError(f"there is no dataset of cudc-bench in {datasets_root()}; collect or import one.")
+    return found
+
+
+def _show(found: Verification) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    from cudc_bench.artefacts.manifest import read_manifest
-    from cudc_bench.data.verification import SAMPLE
-    from cudc_bench.data.verification import verify as run
-
-    if every and sample is not None:
-        raise UsageError("--all and --sample contradict each other; give one of them.")
-    for one in dataset_ids:
-        read_manifest(one)
     console = Console()
-    for one in dict.fromkeys(dataset_ids):
-        found = run(one, sample=None if every else SAMPLE if sample is None else sample)
-        table = Table(title=f"{found.dataset_id} is what it says", title_justify="left", title_style="bold", show_header=False)
-        for check in found.checks:
-            table.add_row(Text("ok", style="green"), check.name, Text(check.detail))
-        console.print(table)
+    table = Table(title=f"{found.dataset_id} passes all checks", title_justify="left", title_style="bold", show_header=False)
+    for check in found.checks:
+        table.add_row(Text("ok", style="green"), check.name, Text(check.detail))
+    console.print(table)
+    console.print(Text(f"proven: {'; '.join(found.proven)}"))
+    console.print(Text(f"not provable: {'; '.join(found.unproven)}"))

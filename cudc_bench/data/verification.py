@@ -1,17 +1,19 @@
 """Proves a dataset: that it is whole and unchanged, and that the simulator and the tasks' rewards agree with every number in it.
 
 A fingerprint shows that nothing changed since the dataset was made, but whoever changes the arrays can compute it anew. The simulator
-cannot be talked round: episodes are repeated from their seeds, and rewards computed again from the states.
+cannot be talked round: episodes are repeated from their seeds, and rewards and coverage computed again from the states. What cannot be
+computed again, such as who chose the actions, is named.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,15 +23,18 @@ from numpy.typing import NDArray
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
-from cudc_bench.artefacts.manifest import FieldHasher, Manifest, fingerprint, read_manifest, read_metadata
-from cudc_bench.artefacts.provenance import processor, versions
+from cudc_bench.artefacts.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest, read_metadata
+from cudc_bench.artefacts.provenance import same_arithmetic, versions
+from cudc_bench.data.claims import contradictions, from_base, odd_environment, remarks
+from cudc_bench.data.descriptors import Visits
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.metadata import minari_metadata
 from cudc_bench.data.reader import check_base, read_field
 from cudc_bench.data.storage import LINKED, READ_ERRORS, behind_link, check_links, open_field, row_kinds
 from cudc_bench.data.writer import episode_attributes
 from cudc_bench.envs import Domain, check_domain, check_tasks
-from cudc_bench.envs.playback import Fault, Playback
+from cudc_bench.envs.domains import DRIFT_SHARE, STEP_TOLERANCE
+from cudc_bench.envs.playback import Drift, Fault, Playback
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.execution.progress import Advance, bars
 from cudc_bench.files import check_regular
@@ -40,9 +45,12 @@ Array = NDArray[Any]
 SAMPLE = 20_000
 
 _METADATA = (
-    "dataset_id", "data_format", "total_episodes", "total_steps", "dataset_size", "observation_space", "action_space", "algorithm_name",
-    "combined_datasets", "env_spec",
+    "dataset_id", "data_format", "total_episodes", "total_steps", "observation_space", "action_space", "algorithm_name",
+    "combined_datasets", "eval_env_spec",
 )  # fmt: skip
+_SIZES = 0.0501  # MB by which a stored size may differ: Minari's own functions round it to a tenth
+# By how much coverage may differ where rounding does, which moves states between cells: so many cells, or this share of both.
+_CELLS, _COVERAGE = 2, 0.01
 # What other mathematical libraries may do to a reward of at most 1; where versions and processor are the same, nothing.
 _REWARD_ROUNDING = 1e-6
 _RESTORE = "restore it from a copy, or make it again with --overwrite"
@@ -64,22 +72,37 @@ class Verification:
         dataset_id: which one.
         fingerprint: of its arrays, computed anew.
         checks: in the order in which they were made.
+        proven: what they show, as parts of sentences.
+        unproven: what the dataset says of itself that nothing here can show.
+        seed: by which the simulated episodes were drawn; None where all were.
     """
 
     dataset_id: str
     fingerprint: str
     checks: tuple[Check, ...]
+    proven: tuple[str, ...]
+    unproven: tuple[str, ...]
+    seed: int | None
 
 
-def verify(dataset_id: DatasetId | str, *, sample: int | None = SAMPLE, root: str | Path | None = None) -> Verification:
+def draw_seed() -> int:
+    """A seed for the sample that nobody can know beforehand."""
+    return secrets.randbits(32)
+
+
+def verify(
+    dataset_id: DatasetId | str, *, sample: int | None = SAMPLE, seed: int | None = None, root: str | Path | None = None
+) -> Verification:
     """Prove a dataset.
 
-    All arrays are read, hashed and checked, and all rewards computed again. Of the transitions, about ``sample`` are held against the
-    simulator, in whole episodes that depend on the fingerprint alone; if a hash differs, all of them, to find the damage.
+    All arrays are read, hashed and checked, and all rewards and the coverage computed again. Of the transitions, about ``sample`` are held
+    against the simulator, in whole episodes drawn at random; if a hash differs, all of them, to find the damage.
 
     Args:
         dataset_id: such as ``"walker/cudc-v0"``.
         sample: transitions to simulate; None takes all.
+        seed: of the draw of these episodes; from the system's entropy unless given, so that nobody can make a dataset whose faults it
+            leaves out.
         root: Minari's root unless given.
 
     Returns:
@@ -91,27 +114,23 @@ def verify(dataset_id: DatasetId | str, *, sample: int | None = SAMPLE, root: st
     """
     if sample is not None and sample < 1:
         raise UsageError(f"--sample takes 1 or more transitions, not {sample}; --all takes all.")
+    if seed is not None and seed < 0:
+        raise UsageError(f"--seed cannot be {seed}; it must be 0 or more.")
     checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
     place = None if root is None else Path(root)
-    return _Verifier(checked, read_manifest(checked, place), sample, place).run()
-
-
-def _environment(spec: Any) -> Any:
-    """What an environment's specification says of the environment; the rest depends on the version of Gymnasium that wrote it."""
-    try:
-        values = json.loads(spec)
-        return {key: values[key] for key in ("id", "entry_point", "max_episode_steps", "kwargs")}
-    except (ValueError, TypeError, KeyError):
-        return spec
+    return _Verifier(checked, read_manifest(checked, place), sample, draw_seed() if seed is None else seed, place).run()
 
 
 class _Verifier:
     """The checks of one dataset; each method is one, and returns what it checked."""
 
-    def __init__(self, dataset_id: DatasetId, manifest: Manifest, sample: int | None, root: Path | None) -> None:
-        self._id, self._manifest, self._sample, self._root = dataset_id, manifest, sample, root
+    def __init__(self, dataset_id: DatasetId, manifest: Manifest, sample: int | None, seed: int, root: Path | None) -> None:
+        self._id, self._manifest, self._sample, self._seed, self._root = dataset_id, manifest, sample, seed, root
         self._path = dataset_path(dataset_id, root) / "data" / MAIN_FILE
         self._changed: list[str] = []
+        self._proven: list[str] = []
+        self._unproven: list[str] = []
+        self._added: set[str] = set()
 
     def run(self) -> Verification:
         """Make all checks in order."""
@@ -130,19 +149,43 @@ class _Verifier:
                 checks.append(Check("seeds", self._check_seeds(file)))
             checks.append(Check("rewards", self._check_rewards(file)))
             checks.append(Check("simulation", self._check_simulation(file)))
+            # Last, since it cannot say where.
+            if (coverage := self._check_coverage(file)) is not None:
+                checks.append(Check("coverage", coverage))
         if self._changed:
             self._fail("fingerprint", f"{', '.join(self._changed)} changed after it was made, by less than a simulation here can locate")
-        return Verification(str(self._id), manifest.fingerprint, tuple(checks))
+        self._proven.insert(0, "every array is the one that its manifest hashes")
+        self._name_the_rest()
+        sampled = len(self._chosen(check_domain(manifest.domain))) < manifest.episodes and "infos/physics" in manifest.fields
+        seed = self._seed if sampled else None
+        return Verification(str(self._id), manifest.fingerprint, tuple(checks), tuple(self._proven), tuple(self._unproven), seed)
+
+    def _name_the_rest(self) -> None:
+        """What no computation can show of any dataset, after what the checks found."""
+        manifest = self._manifest
+        if manifest.imported is None:
+            self._unproven.append(f"that {manifest.method} with these hyperparameters chose the actions")
+            measured = "the diagnostics" if "coverage_cells" not in manifest.diagnostics else "the diagnostics but for the coverage"
+            self._unproven.append(f"{measured}, and the final state" if manifest.final_state else measured)
+        else:
+            self._unproven.append(f"that {manifest.imported.source}'s {manifest.method} collected it")
+        self._unproven += ["when, where, by whom and with which versions it was made", "descriptions and the card"]
 
     # ------------------------------------------------------------------------------------------------------------------------ failing
 
-    def _fail(self, check: str, what: str, episode: int | None = None, step: int | None = None, remedy: str = _RESTORE) -> NoReturn:
+    def _fail(self, check: str, what: str, episode: int | None = None, step: int | None = None, remedy: str = "") -> NoReturn:
         place = "" if episode is None else f" in episode {episode}" if step is None else f" in episode {episode} at step {step}"
         # A hash that does not fit is the surer finding; what was found after it says where.
         if self._changed and check != "fingerprint":
             what = f"{', '.join(self._changed)} changed after it was made: {check}: {what}"
             check = "fingerprint"
-        raise RunError(f"'{self._id}' fails the check '{check}'{place}: {what}; {remedy}.")
+        raise RunError(f"'{self._id}' fails the check '{check}'{place}: {what}; {remedy or self._remedy}.")
+
+    @property
+    def _remedy(self) -> str:
+        if self._manifest.imported is None or self._manifest.base is not None:
+            return _RESTORE
+        return "import its files again with --overwrite, and if that ends the same, ask who made them for whole ones"
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -182,11 +225,33 @@ class _Verifier:
         metadata = read_metadata(self._id, self._root)
         for key in _METADATA:
             there, wanted = metadata.get(key), expected.get(key)
-            if key == "env_spec":
-                there, wanted = _environment(there), _environment(wanted)
             if there != wanted:
                 fail(f"Minari's metadata have {key} {there!r:.99}, but by the manifest and the file it is {wanted!r:.99}")
-        return f"{len(_METADATA)} entries of Minari's metadata, hash of {len(manifest.hyperparameters)} hyperparameters"
+        self._check_size(metadata.get("dataset_size"), expected["dataset_size"])
+        self._check_environment(metadata.get("env_spec"), expected["env_spec"])
+        for what in contradictions(manifest, facts):
+            fail(what)
+        if manifest.base is not None and manifest.base.linked and exists(manifest.base.id, self._root):
+            base = read_manifest(manifest.base.id, self._root)
+            if base.fingerprint == manifest.base.fingerprint and (other := list(from_base(manifest, base))):
+                fail(f"it has other {', '.join(other)} than its base '{manifest.base.id}'")
+        self._unproven += remarks(manifest)
+        return f"{len(_METADATA) + 2} entries of Minari's metadata, hash of {len(manifest.hyperparameters)} hyperparameters, command"
+
+    def _check_size(self, there: Any, found: float) -> None:
+        if isinstance(there, bool) or not isinstance(there, int | float) or not abs(there - found) <= _SIZES:
+            self._fail("manifest", f"Minari's metadata have dataset_size {there!r:.99}, but by the manifest and the file it is {found!r}")
+
+    def _check_environment(self, there: Any, expected: str) -> None:
+        """The environment's specification, read as data: whoever asks Minari for the environment has all that it names imported."""
+        try:
+            found = json.loads(there)
+        except (ValueError, TypeError, RecursionError):
+            found = there
+        if (odd := odd_environment(found, json.loads(expected))) is not None:
+            name, value, wanted = odd
+            what = f"Minari's metadata have an env_spec whose {name} is {value!r:.99}, but by the manifest it is {wanted!r:.99}"
+            self._fail("manifest", f"{what}; ask nobody for that environment (recover_environment would run what it names)")
 
     def _check_base(self) -> str:
         base = self._manifest.base
@@ -226,7 +291,10 @@ class _Verifier:
             steps += length
         if steps != manifest.steps:
             self._fail("file", f"the manifest has {manifest.steps:,} steps, the file {steps:,}")
-        return f"{manifest.episodes:,} episodes of {len(fields)} fields, {steps:,} steps" + (", links into the base" if linked else "")
+        more = f", attributes that we did not write: {', '.join(sorted(self._added))[:99]}" if self._added else ""
+        return (
+            f"{manifest.episodes:,} episodes of {len(fields)} fields, {steps:,} steps" + (", links into the base" if linked else "") + more
+        )
 
     def _check_groups(self, file: h5py.File) -> None:
         """A group for each episode, and nothing else."""
@@ -265,7 +333,9 @@ class _Verifier:
             fail(f"it has {length:,} steps; all but the last one have {facts.episode_length:,}")
         if int(group.attrs["id"]) != index:
             fail(f"it is stored as episode {int(group.attrs['id'])}")
-        for key in episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1)):
+        ours = episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1))
+        self._added |= {str(key) for key in group.attrs} - ours.keys()
+        for key in ours:
             if np.ndim(group.attrs[key]) or np.asarray(group.attrs[key]).dtype.kind not in "iuf":
                 fail(f"its attribute {key} is no number")
         return length
@@ -338,7 +408,7 @@ class _Verifier:
     def _check_rewards(self, file: h5py.File) -> str:
         manifest = self._manifest
         expected, how = self._recompute()
-        tolerance = 0.0 if manifest.task is None or self._same_arithmetic(manifest) else _REWARD_ROUNDING
+        tolerance = 0.0 if manifest.task is None or same_arithmetic(manifest.versions, manifest.machine) else _REWARD_ROUNDING
         if expected is not None:
             with bars([(f"{self._id}: rewards", manifest.episodes)], "episodes") as (advance,):
                 for index in range(manifest.episodes):
@@ -352,6 +422,8 @@ class _Verifier:
                     self._fail("rewards", f"the attribute {name} is {found:g}, but by the rewards {value:g}", index)
         if tolerance and expected is not None:
             how += f" within {tolerance:g} (made with other versions or on another processor)"
+        if expected is not None:
+            self._proven.append("its rewards are all 0" if manifest.task is None else f"its rewards are those of {manifest.task}")
         return f"{manifest.steps:,}, {how}"
 
     def _recompute(self) -> tuple[Callable[[h5py.Group], Array] | None, str]:
@@ -360,9 +432,11 @@ class _Verifier:
         if manifest.task is None:
             return lambda group: np.zeros(int(group.attrs["total_steps"]), np.float32), "all 0: it belongs to no task"
         if manifest.base is None:
+            self._unproven.append(f"that its rewards are those of {manifest.task}: they were imported")
             return None, "as they were imported; not computed again"
         if manifest.reward is not None:
             # Whoever made the dataset chose the name; reading a dataset must not run code.
+            self._unproven.append(f"its rewards, by the function {manifest.reward.reference}: relabel its base with it and compare")
             return None, f"by the function {manifest.reward.reference}, which is not run here"
         if "infos/physics" not in manifest.fields:
             self._fail("rewards", f"it has rewards of {manifest.task} but no physics states to compute them from")
@@ -385,49 +459,122 @@ class _Verifier:
                 what = f"the reward is {there[step]:.9g}, but a dataset without a task has 0"
             self._fail("rewards", what, index, step, _RESTORE if self._manifest.task is None else "relabel its base again with --overwrite")
 
-    def _same_arithmetic(self, made: Manifest) -> bool:
-        """Whether versions and processor are those which a dataset was made with, so that every bit should be the same."""
-        here = versions()
-        same = all(made.versions.get(name) == here[name] for name in ("mujoco", "dm-control", "numpy"))
-        return same and made.machine.get("processor") == processor()
+    # ----------------------------------------------------------------------------------------------------------------------- coverage
+
+    def _check_coverage(self, file: h5py.File) -> str | None:
+        """The coverage that the diagnostics state, from the states; None where they state none, or the base has been asked."""
+        manifest = self._manifest
+        stated = {name: manifest.diagnostics.get(name) for name in ("coverage_cells", "coverage_entropy")}
+        facts = check_domain(manifest.domain)
+        if all(value is None for value in stated.values()) or (manifest.base is not None and manifest.base.linked):
+            return None
+        if not facts.descriptors or "infos/physics" not in manifest.fields:
+            self._fail("coverage", "its diagnostics state a coverage that nobody can have measured")
+        relabeler, visits = plugins.load("relabelers", facts.relabeler)(facts), Visits(facts)
+        with bars([(f"{self._id}: coverage", manifest.episodes)], "episodes") as (advance,):
+            for index in range(manifest.episodes):
+                group = file[f"episode_{index}"]
+                visits.add(relabeler.quantities(read_field(group, "infos/physics")[1:], read_field(group, "actions")))
+                advance(1)
+        found, share = visits.coverage.as_row(), 0.0 if self._exact else _COVERAGE
+        for name, value in stated.items():
+            slack = max(share * found[name], _CELLS if share and name == "coverage_cells" else 1e-9)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value - found[name]) <= slack:
+                self._fail("coverage", f"its diagnostics have {name} {value!r:.40}, but its states {found[name]}")
+        self._proven.append("the coverage is that of its states")
+        return f"{found['coverage_cells']:,} cells, entropy {found['coverage_entropy']:.6g}, as the diagnostics have it"
 
     # --------------------------------------------------------------------------------------------------------------------- simulation
+
+    @cached_property
+    def _exact(self) -> bool:
+        """Whether states and observations were made by the arithmetic of this machine, so that every bit of them must be the same."""
+        manifest = self._manifest
+        if manifest.imported is not None:
+            return False
+        if manifest.collected is not None:
+            return same_arithmetic(manifest.collected.versions, manifest.collected.machine)
+        if manifest.base is None:
+            return same_arithmetic(manifest.versions, manifest.machine)
+        if not exists(manifest.base.id, self._root):
+            return False
+        base = read_manifest(manifest.base.id, self._root)
+        return base.fingerprint == manifest.base.fingerprint and same_arithmetic(base.versions, base.machine)
 
     def _check_simulation(self, file: h5py.File) -> str:
         manifest = self._manifest
         if "infos/physics" not in manifest.fields:
+            self._unproven.append("that its observations follow from its actions: it holds no physics states")
             return "none: it holds no physics states"
         facts = check_domain(manifest.domain)
         playback, chosen = Playback(facts), self._chosen(facts)
-        exact, steps, slips = 0, 0, list[tuple[int, Fault]]()
+        exact, steps, slips, drifts = 0, 0, list[tuple[int, Fault]](), list[Drift]()
         with bars([(f"{self._id}: simulating", len(chosen))], "episodes") as (advance,):
             for index in chosen:
                 group = file[f"episode_{index}"]
                 seed = int(group.attrs["seed"]) if manifest.has_episode_seeds else None
                 actions = read_field(group, "actions")
-                verdict = playback.test(seed, read_field(group, "infos/physics"), actions, read_field(group, "observations"))
+                arrays = read_field(group, "infos/physics"), actions, read_field(group, "observations")
+                verdict = playback.test(seed, *arrays, exact=self._exact)
                 if verdict.fault is not None:
-                    self._fail("simulation", verdict.fault.what, index, verdict.fault.row)
+                    why = ", bit for bit as it must be here: by its manifest this processor and these versions made it"
+                    self._fail("simulation", verdict.fault.what + (why if self._exact else ""), index, verdict.fault.row)
                 exact, steps = exact + (verdict.inexact is None), steps + len(actions)
                 if verdict.inexact is not None:
                     slips.append((index, verdict.inexact))
+                if verdict.drift is not None:
+                    drifts.append(verdict.drift)
                 advance(1)
         if self._changed and exact and slips:
             # This machine repeats other episodes to the last bit: the first that it does not is where the change is.
             index, slip = slips[0]
             self._fail("simulation", slip.what, index, slip.row)
-        share = "all" if len(chosen) == manifest.episodes else f"of {manifest.steps:,}"
+        self._check_drift(drifts, facts)
+        share = "all" if len(chosen) == manifest.episodes else f"of {manifest.steps:,}, drawn with --seed {self._seed}"
         parts = [f"{exact:,} episodes repeated from their seeds bit for bit"] if exact else []
-        if slips:
-            why = "rounding differs here" if manifest.has_episode_seeds else "their seeds are not known"
-            parts.append(f"{len(slips):,} episodes step by step within {facts.step_tolerance:g} ({why})")
+        if drifts:
+            parts.append(self._followed(drifts, facts))
+        self._conclude(exact, len(drifts))
         return f"{steps:,} transitions ({share}): {', '.join(parts)}"
 
+    def _check_drift(self, drifts: Sequence[Drift], facts: Domain) -> None:
+        """Many episodes that are each pulled as far as one may be are not rounding."""
+        if not drifts:
+            return
+        mean, share = float(np.mean([drift.accumulated for drift in drifts])), DRIFT_SHARE + (1.0 - DRIFT_SHARE) / len(drifts)
+        if mean > (limit := share * facts.drift_tolerance):
+            what = f"the errors of {len(drifts):,} episodes add up to {mean:.3g} on the average, where rounding makes {limit:.3g} at most"
+            self._fail("simulation", f"{what}: they were pulled away from the simulation")
+
+    def _followed(self, drifts: Sequence[Drift], facts: Domain) -> str:
+        beyond, worst = sum(drift.beyond for drift in drifts), max(drift.accumulated for drift in drifts)
+        text = f"{len(drifts):,} episodes step by step within {STEP_TOLERANCE:g}"
+        if beyond:
+            steps, largest = sum(drift.steps for drift in drifts), max(drift.largest for drift in drifts)
+            text += (
+                f" but for {beyond:,} of {steps:,} steps, at most {largest:.2g}: contacts, or another MuJoCo than {versions()['mujoco']}"
+            )
+        why = "rounding differs here" if self._manifest.has_episode_seeds else "their seeds are not known"
+        return f"{text} ({why}); errors add up to {worst:.2g} in an episode, of {facts.drift_tolerance:g} allowed"
+
+    def _conclude(self, exact: int, followed: int) -> None:
+        """What the simulation showed, in a few words."""
+        episodes, seeded = self._manifest.episodes, self._manifest.has_episode_seeds
+        if exact:
+            self._proven.append(f"{exact:,} of {episodes:,} episodes are, bit for bit, what their seeds and actions lead to")
+        if followed:
+            self._proven.append(f"{followed:,} of {episodes:,} episodes are, up to rounding, what their actions lead to")
+            made = self._manifest.collected or self._manifest
+            where = f"made on {made.machine.get('processor', 'an unknown processor')}, MuJoCo {made.versions.get('mujoco', 'unknown')}"
+            self._unproven.append(f"the last digits of states ({where if seeded else 'seeds and MuJoCo are not known'})")
+        if (left := episodes - exact - followed) > 0:
+            self._unproven.append(f"{left:,} of {episodes:,} episodes, which were not simulated (--all)")
+
     def _chosen(self, facts: Domain) -> list[int]:
-        """The episodes to simulate, in order: always the same ones of a dataset."""
+        """The episodes to simulate, in order."""
         episodes = self._manifest.episodes
         if self._sample is None or self._changed:
             return list(range(episodes))
         count = min(episodes, -(-self._sample // facts.episode_length))
-        generator = np.random.default_rng(int(self._manifest.fingerprint[:16], 16))
+        generator = np.random.default_rng(self._seed)
         return sorted(int(index) for index in generator.choice(episodes, count, replace=False))

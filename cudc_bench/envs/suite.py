@@ -34,8 +34,10 @@ _ELSEWHERE = f"choose another one, such as {SUITE}cheetah-run"
 _EPISODES, _STEPS, _STATES = 2, 15, 150
 _TOLERANCE = 1e-6  # of a recomputed reward; datasets hold float32, which is no finer
 # Measured as for the other domains (see STEP_TOLERANCE there), on 400 transitions of random actions from each body: at most 0.023
-# (quadruped-fetch, whose ball hits walls), 1.6e-4 (dog) and 1.9e-8 (all others).
-_STEP_TOLERANCE = 0.1
+# (quadruped-fetch, whose ball hits walls), 1.6e-4 (dog) and 1.9e-8 (all others). What adds up in an episode was measured for the
+# first alone.
+_DRIFT_TOLERANCE = 0.1
+_LOOSE = {f"{SUITE}quadruped-fetch": 1.0}
 _LARGE = 50  # degrees of freedom, from which the trial takes some seconds
 _OTHER_BODY = "its model is another one or changes at resets"
 _OTHER_REWARD = "its reward depends on more than state and action (a target drawn at reset, a sensor that lags)"
@@ -83,7 +85,7 @@ def suite_domain(name: str) -> Domain:
         rewards="cudc_bench.envs.suite:suite_rewards",
         relabeler="dm_control",
         beyond_state=_beyond_state(simulator),
-        step_tolerance=_STEP_TOLERANCE,
+        drift_tolerance=_LOOSE.get(name, _DRIFT_TOLERANCE),
         excluded={task: reason for task, reason in reasons.items() if reason is not None},
     )
 

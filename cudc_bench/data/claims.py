@@ -1,0 +1,135 @@
+"""What a dataset says of itself beside its arrays: whether that can be right, and how much of it nobody can prove."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from cudc_bench import plugins
+from cudc_bench.artefacts.commands import parse_command, settings_that_differ
+from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.envs.domains import Domain
+from cudc_bench.errors import CudcBenchError, UsageError
+from cudc_bench.settings.profiles import PROFILES
+
+# What relabelling changes of a base's manifest, or makes anew; all else a relabelled dataset has from its base.
+OWN = frozenset(
+    {
+        "task", "base", "collected", "reward", "command", "fields", "fingerprint", "versions", "commit", "dirty", "machine", "seconds",
+        "created",
+    }
+)  # fmt: skip
+# Values of a loop that a profile alone decides; a method, or its paper's values for a domain, may win over its other ones.
+_OF_PROFILES = ("steps", "seed_steps", "update_every", "measure_every")
+
+
+def contradictions(manifest: Manifest, domain: Domain) -> Iterator[str]:
+    """What of a manifest cannot be right, as parts of sentences.
+
+    Args:
+        manifest: a dataset's.
+        domain: its.
+    """
+    if manifest.reward is not None:
+        yield from _about_reward(manifest, domain)
+    for name, value in manifest.overrides.items():
+        if name not in manifest.hyperparameters or manifest.hyperparameters[name] != value:
+            yield f"its overrides say {name}={value!r:.60}, and its hyperparameters do not"
+    if manifest.imported is None:
+        for name, (then, now) in (_changed(manifest) or {}).items():
+            if name in _OF_PROFILES:
+                yield f"it was collected with {name}={then} where profile {manifest.profile} has {now}, and its overrides do not say so"
+        if (step := manifest.diagnostics.get("step", manifest.steps)) != manifest.steps:
+            yield f"its diagnostics are of step {step!r:.20}, and it has {manifest.steps:,} steps"
+    yield from _about_command(manifest)
+
+
+def from_base(manifest: Manifest, base: Manifest) -> Iterator[str]:
+    """The names of what a relabelled dataset should have from its base, and has not."""
+    own, there = manifest.model_dump(exclude=set(OWN)), base.model_dump(exclude=set(OWN))
+    return (name for name in own if own[name] != there[name])
+
+
+def odd_environment(there: Any, expected: dict[str, Any]) -> tuple[str, Any, Any] | None:
+    """The first entry of an environment's specification that is another than ours, with its value and ours; nothing is imported.
+
+    Gymnasium imports and calls whatever entry points and wrappers a specification names as soon as somebody asks for the environment. The
+    other entries depend on the version of Gymnasium that wrote them: those that one version lacks must be empty.
+
+    Args:
+        there: what was read.
+        expected: ours, as Gymnasium writes it.
+    """
+    if not isinstance(there, dict):
+        return "itself", there, expected
+    for name in (*expected, *sorted(there.keys() - expected.keys())):
+        found, wanted = there.get(name), expected.get(name)
+        missing = name not in there and name not in {"id", "entry_point", "max_episode_steps", "kwargs"}
+        if not (missing or found == wanted or (name not in expected and not found)):
+            return name, found, wanted
+    return None
+
+
+def remarks(manifest: Manifest) -> Iterator[str]:
+    """What is no contradiction but should be known, as parts of sentences."""
+    if manifest.imported is not None:
+        return
+    changed = _changed(manifest)
+    if changed is None:
+        yield f"whether these are {manifest.method}'s hyperparameters at profile {manifest.profile} is not known here"
+    elif others := [f"{name}={then} ({now} now)" for name, (then, now) in changed.items() if name not in _OF_PROFILES]:
+        yield f"{manifest.method} has other hyperparameters at profile {manifest.profile} by now: {', '.join(others):.300}"
+    try:
+        parse_command(manifest.command)
+    except UsageError as error:
+        yield str(error)
+
+
+def _changed(manifest: Manifest) -> dict[str, tuple[Any, Any]] | None:
+    if manifest.profile not in PROFILES:
+        return None
+    try:
+        found: dict[str, tuple[Any, Any]] | None = plugins.load("stages", "changed_since")(manifest)
+    except CudcBenchError:
+        return None
+    return found
+
+
+def _about_reward(manifest: Manifest, domain: Domain) -> Iterator[str]:
+    assert manifest.reward is not None
+    name = manifest.reward.reference.partition(":")[2]
+    if manifest.task in domain.tasks:
+        yield f"its rewards are by the function {manifest.reward.reference}, and not those of the task {manifest.task} as it says"
+    elif manifest.task != name:
+        yield f"its task is {manifest.task!r}, and the function {manifest.reward.reference} makes the rewards of '{name}'"
+
+
+def _about_command(manifest: Manifest) -> Iterator[str]:
+    try:
+        command = parse_command(manifest.command)
+    except UsageError as error:
+        # One of ours that this version does not know may be of another one.
+        if not is_own_command(manifest.command):
+            yield str(error)
+        return
+    task, reward = manifest.task, manifest.reward
+    expected: dict[str, str | int | None]
+    if manifest.base is not None:
+        kind, expected = "relabel", {"dataset_ids": manifest.base.id}
+        expected |= {"tasks": task} if reward is None else {"reward": reward.reference}
+    elif manifest.imported is not None:
+        kind, expected = "import-", {}
+    else:
+        kind = "collect"
+        expected = {"method": manifest.method, "domain": manifest.domain, "seeds": manifest.seed, "profile": manifest.profile}
+    if not command.name.startswith(kind):
+        yield f"its command is '{command.name}', which makes no such dataset"
+        return
+    yield from command.contradictions(expected)
+    if kind == "collect":
+        try:
+            everything = {"precision": "float32"} | manifest.hyperparameters
+            yield from settings_that_differ(command.settings, manifest.overrides, everything)
+        except UsageError as error:
+            yield f"its command is refused ({str(error).rstrip('.')})"
