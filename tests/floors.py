@@ -16,7 +16,8 @@ def requirements() -> list[Requirement]:
     """What a user may have to have: all that the package and its extras ask for."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     extras = [line for name, lines in project["optional-dependencies"].items() if name not in TOOLS for line in lines]
-    return [Requirement(line) for line in [*project["dependencies"], *extras]]
+    found = [Requirement(line) for line in [*project["dependencies"], *extras]]
+    return [one for one in found if one.name != project["name"]]  # an extra may be made of others
 
 
 def floors() -> dict[str, str]:

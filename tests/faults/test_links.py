@@ -57,10 +57,13 @@ def test_folders_that_link_to_each_other_are_entered_once(tmp_path: Path) -> Non
 def test_a_folder_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "closed").mkdir()
     shutil.copy(RECORDS[0], tmp_path)
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
+    for folder in (tmp_path, *tmp_path.parents):
+        if "pytest-" in str(folder):  # its own, which are its user's alone
+            folder.chmod(0o755)
     (tmp_path / "closed").chmod(0)
     with as_somebody():
+        if not os.access(tmp_path, os.R_OK | os.X_OK, effective_ids=True):
+            pytest.skip("the folder of temporary files is its user's alone")
         found = load_records([tmp_path])
     assert len(found.records) == 1
     assert found.problems == (f"the records in {tmp_path / 'closed'} are left out: it cannot be read: Permission denied.",)
