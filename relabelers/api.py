@@ -180,12 +180,12 @@ def _rewards(
     """
     relabeler = plugins.load("relabelers", domain.relabeler)(domain)
     columns = [domain.tasks.index(task) for task in tasks if task in domain.tasks]
-    names = ("infos/physics", "actions", *(() if custom is None else ("observations",)))
     decisive = {"base": base.fingerprint, "tasks": list(tasks), "reward": None if custom is None else custom.sha256, **origin({})}
     found = _resume(kept, decisive)
     last = time.monotonic()
     with bars([("rewards", base.steps)], "states") as (advance,):
-        for index, episode in enumerate(read_episodes(base_id, names, verify=True)):
+        # All of it, since what is made links to all of it or copies it.
+        for index, episode in enumerate(read_episodes(base_id, tuple(base.fields), verify=True, domain=domain)):
             # Row 0 of an episode is its reset, which no action led to.
             states, actions = episode["infos/physics"][1:], episode["actions"]
             if index >= len(found):

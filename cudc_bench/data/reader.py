@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.artefacts.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
-from cudc_bench.data.storage import READ_ERRORS, check_links, file_size, open_field, row_kinds
-from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.data.storage import READ_ERRORS, check_links, file_size, odd_values, open_field, row_kinds
+from cudc_bench.envs.domains import DOMAINS, Domain
 from cudc_bench.errors import RunError
 from cudc_bench.files import check_regular
 
@@ -106,13 +106,16 @@ def base_file(manifest: Manifest, root: Path | None = None) -> Path | None:
     return dataset_path(base.id, root) / "data" / MAIN_FILE if base is not None and base.linked else None
 
 
-def _check_rows(arrays: dict[str, Array], manifest: Manifest) -> None:
-    """Compare with what the domain has; dm_control's other domains would have to be loaded for that."""
-    domain = DOMAINS.get(manifest.domain)
+def _check_rows(arrays: dict[str, Array], manifest: Manifest, domain: Domain | None = None) -> None:
+    """Compare with what the domain has, which dm_control's other ones would have to be loaded for, and with what can be."""
+    domain = domain or DOMAINS.get(manifest.domain)
     for name, (dtype, shape) in ({} if domain is None else row_kinds(domain)).items():
         if name in arrays and (arrays[name].dtype != dtype or arrays[name].shape[1:] != shape):
             found = arrays[name]
             raise ValueError(f"{name} has rows of {found.dtype} {found.shape[1:]}, not of {np.dtype(dtype)} {shape}")
+    for name, array in arrays.items():
+        for _, what, row in odd_values(name, array):
+            raise ValueError(f"{what}, first in row {row:,}")
 
 
 def _read_field(groups: list[h5py.Group], name: str, lengths: NDArray[np.int64]) -> Array:
@@ -185,7 +188,7 @@ def _episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | No
 
 
 def read_episodes(
-    dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None, verify: bool = False
+    dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None, verify: bool = False, domain: Domain | None = None
 ) -> Iterator[dict[str, Array]]:
     """Some fields of a dataset, one episode in memory after the other.
 
@@ -194,6 +197,7 @@ def read_episodes(
         names: of the fields.
         root: Minari's root unless given.
         verify: hash them, and compare with the manifest after the last episode.
+        domain: the dataset's, if it is at hand, to check types and shapes by; the benchmark's own are always.
 
     Raises:
         UsageError: no such dataset, or not one of ours.
@@ -209,7 +213,7 @@ def read_episodes(
             steps = {len(array) - has_reset_row(name) for name, array in episode.items()}
             if len(steps) != 1:
                 raise ValueError(f"episode_{index} has fields of different lengths")
-            _check_rows(episode, manifest)
+            _check_rows(episode, manifest, domain)
             for name, array in episode.items() if verify else ():
                 hasher.update(name, array)
             yield episode

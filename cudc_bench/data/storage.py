@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from cudc_bench.envs.domains import Domain
 from cudc_bench.files import check_regular
@@ -69,6 +70,8 @@ def open_field(group: h5py.Group, name: str) -> Any:
         raise ValueError(f"{group.name}/{name} is not stored whole in its file")
     if kind.kind not in "biuf":
         raise ValueError(f"{group.name}/{name} holds {kind}, which are no numbers")
+    if not kind.isnative:
+        raise ValueError(f"{group.name}/{name} holds {kind.str}, numbers in another byte order than ours")
     size = math.prod(dataset.shape) * kind.itemsize
     if size > _LARGEST:
         # A file with holes has any number of bytes, and few of them on the disk.
@@ -108,6 +111,27 @@ def row_kinds(domain: Domain) -> dict[str, tuple[type, tuple[int, ...]]]:
         "truncations": (np.bool_, ()),
         "infos/physics": (np.float64, (domain.physics_size,)),
     }
+
+
+def odd_values(name: str, array: NDArray[Any]) -> Iterator[tuple[str, str, int]]:
+    """What no episode can hold, in the type in which it is stored.
+
+    Args:
+        name: of the field, such as ``"actions"``.
+        array: of an episode, a row for each step.
+
+    Yields:
+        What it is about (``"numbers"`` or ``"actions"``), what is wrong in a few words, and the first row where it is.
+    """
+    if array.dtype.kind != "f":
+        return
+    for check, what, good in (
+        ("numbers", f"a number of {name} is not finite", np.isfinite(array)),
+        ("actions", "an action is out of [-1, 1]", np.abs(array) <= 1.0 if name == "actions" else None),
+    ):
+        if good is not None and not good.all():
+            rows = good.reshape(len(good), -1).all(axis=1)
+            yield check, what, int(np.flatnonzero(~rows)[0])
 
 
 def _member(group: Any, name: str, where: str, opened: bool = True) -> Any:

@@ -30,7 +30,7 @@ from cudc_bench.data.descriptors import Visits
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.metadata import minari_metadata
 from cudc_bench.data.reader import check_base, read_field
-from cudc_bench.data.storage import LINKED, READ_ERRORS, behind_link, check_links, open_field, row_kinds
+from cudc_bench.data.storage import LINKED, READ_ERRORS, behind_link, check_links, odd_values, open_field, row_kinds
 from cudc_bench.data.writer import episode_attributes
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.envs.domains import DRIFT_SHARE, STEP_TOLERANCE
@@ -372,10 +372,8 @@ class _Verifier:
                 array = read_field(group, field)
                 hasher.update(field, array)
                 numbers += array.size
-                if array.dtype.kind == "f":
-                    self._check_each(np.isfinite(array), "numbers", f"a number of {field} is not finite", index)
-                if field == "actions":
-                    self._check_each(np.abs(array) <= 1.0, "actions", "an action is out of [-1, 1]", index)
+                for check, what, row in odd_values(field, array):
+                    self._fail(check, what, index, row)
                 if field in {"terminations", "truncations"}:
                     expected = np.zeros(len(array), np.uint8)
                     expected[-1] = field == "truncations"

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from cudc_bench.artefacts.manifest import FieldHasher
 from cudc_bench.data.layout import MAIN_FILE
-from cudc_bench.errors import UnusableError
+from cudc_bench.data.storage import odd_values
+from cudc_bench.errors import BrokenDownError, UnusableError
 from cudc_bench.files import sync
 
 if TYPE_CHECKING:
@@ -80,7 +81,13 @@ class EpisodeShards:
         self._info_names: list[str] = []
 
     def add(self, episode: Episode) -> None:
-        """Keep one episode; its arrays are copied."""
+        """Keep one episode; its arrays are copied.
+
+        Raises:
+            BrokenDownError: it holds numbers that no episode can have (see :func:`check_stored`).
+        """
+        for name, array in episode.fields().items():
+            check_stored(name, array, "the episode that has just ended")
         copied = {name: array.copy() for name, array in episode.infos.items()}
         rewards = None if episode.rewards is None else episode.rewards.copy()
         self._pending.append(Episode(episode.seed, episode.observations.copy(), episode.actions.copy(), copied, rewards))
@@ -187,6 +194,9 @@ def write_episodes(data: Path, episodes: Iterator[Episode] | list[Episode]) -> W
     Args:
         data: the folder, which is made.
         episodes: in order; they become ``episode_0``, ``episode_1``, …
+
+    Raises:
+        BrokenDownError: one holds numbers that no episode can have (see :func:`check_stored`).
     """
     data.mkdir(parents=True, exist_ok=True)
     hasher, count, steps = FieldHasher(), 0, 0
@@ -196,12 +206,28 @@ def write_episodes(data: Path, episodes: Iterator[Episode] | list[Episode]) -> W
             infos = group.create_group("infos") if episode.infos else group
             arrays = episode.fields()
             for name, array in arrays.items():
+                check_stored(name, array, f"episode {index}")
                 hasher.update(name, array)
                 place, _, leaf = name.rpartition("/")
                 write_contiguous(infos if place else group, leaf, array)
             write_episode_attributes(group, index, episode.seed, arrays["rewards"])
             count, steps = index + 1, steps + len(episode.actions)
     return Written(count, steps, hasher.digests())
+
+
+def check_stored(name: str, array: Array, where: str) -> None:
+    """Refuse to store what no reader should take: numbers that are not finite, in the type in which they are stored, or wild actions.
+
+    Args:
+        name: of the field.
+        array: as it is stored.
+        where: it belongs, such as ``"episode 3"``.
+
+    Raises:
+        BrokenDownError: it holds such numbers.
+    """
+    for _, what, row in odd_values(name, array):
+        raise BrokenDownError(f"{where} cannot be stored: {what} at step {row:,}; mend what made it.")
 
 
 @contextmanager

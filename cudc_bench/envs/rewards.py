@@ -84,28 +84,30 @@ class CustomReward:
         """Rewards (N,) of N steps.
 
         Raises:
-            BrokenDownError: the function failed, or what it returned is not N finite numbers.
+            BrokenDownError: the function failed, or what it returned is not N real numbers that are finite in float32, too.
         """
         steps = len(measured["action"])
         try:
-            rewards = np.asarray(self.function(measured), np.float64)
+            returned = np.asarray(self.function(measured))
         except RunError:
             raise
         except (Exception, SystemExit) as error:
             raise BrokenDownError(f"the reward function {self.reference} failed: {type(error).__name__}: {error}.") from error
-        if rewards.shape != (steps,):
+        if returned.shape != (steps,):
             raise BrokenDownError(
-                f"the reward function {self.reference} returned shape {rewards.shape} for {steps} steps; return ({steps},)."
+                f"the reward function {self.reference} returned shape {returned.shape} for {steps} steps; return ({steps},)."
             )
-        if not np.isfinite(rewards).all():
-            raise BrokenDownError(
-                f"the reward function {self.reference} returned numbers that are not finite; first at row {_first(rewards)}."
-            )
+        if returned.dtype.kind not in "biuf":
+            raise BrokenDownError(f"the reward function {self.reference} returned {returned.dtype}; return real numbers.")
+        rewards = returned.astype(np.float64)
+        with np.errstate(over="ignore"):
+            # As they will be stored.
+            finite = np.isfinite(rewards.astype(np.float32))
+        if not finite.all():
+            row = int(np.flatnonzero(~finite)[0])
+            what = f"numbers that are not finite in float32; first at row {row} ({rewards[row]:g})"
+            raise BrokenDownError(f"the reward function {self.reference} returned {what}.")
         return rewards
-
-
-def _first(rewards: NDArray[np.float64]) -> int:
-    return int(np.flatnonzero(~np.isfinite(rewards))[0])
 
 
 def load_reward(reference: str | Callable[[Measured], Any], domain: Domain) -> CustomReward:

@@ -48,6 +48,20 @@ def check_actions(actions: NDArray[Any], observations: NDArray[Any], where: str)
     raise BrokenDownError(f"training broke down {where}: actions not finite; try a smaller learning_rate.")
 
 
+def check_bounds(actions: NDArray[Any], where: str) -> None:
+    """Refuse actions beyond [-1, 1], which datasets cannot hold and simulators would silently clip.
+
+    Args:
+        actions: of any shape, finite.
+        where: the run stands.
+
+    Raises:
+        BrokenDownError: one is.
+    """
+    if (largest := float(np.abs(actions).max(initial=0.0))) > 1.0:
+        raise BrokenDownError(f"the method acts out of [-1, 1] {where} (up to {largest:g}); its act() must keep actions there.")
+
+
 def check_simulated(values: NDArray[Any], where: str) -> None:
     """Refuse what a simulation led to if it is not finite.
 

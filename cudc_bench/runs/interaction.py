@@ -19,7 +19,7 @@ from cudc_bench.envs import Domain, make_simulators
 from cudc_bench.errors import UnusableError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
-from cudc_bench.learning.checks import check_actions, check_simulated
+from cudc_bench.learning.checks import check_actions, check_bounds, check_simulated
 from cudc_bench.learning.cuda_graphs import ActionRunner, Updater, rehearse
 from cudc_bench.learning.engines import engine_of, graphs_for
 from cudc_bench.learning.networks import MemberRandom
@@ -224,6 +224,7 @@ class Interaction(ABC):
             chosen = self._acts(torch.from_numpy(self.observations[:, t]))
         self.actions[:, t] = chosen.numpy()
         check_actions(self.actions[:, t], self.observations[:, t], f"at step {step:,}")
+        check_bounds(self.actions[:, t], f"at step {step:,}")
         ends = t + 1 == length or step + 1 == self.pace.steps
         # Within an episode the replay does not change: the update can begin, and a GPU be at it while the simulator steps.
         if not ends:

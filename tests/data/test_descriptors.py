@@ -10,15 +10,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 import cudc_bench
 from cudc_bench import plugins
+from cudc_bench.artefacts.ids import dataset_path
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.descriptors import DescriptorCoverage, Visits
 from cudc_bench.data.reader import load_episodes
-from cudc_bench.data.writer import Episode
 from cudc_bench.envs import DOMAINS, Domain, check_domain
 from cudc_bench.errors import RunError, UsageError
 
@@ -145,7 +146,9 @@ def test_datasets_without_states_or_with_damaged_ones_are_refused(make_dataset: 
     make_dataset("walker/bare-v0", [dataclasses.replace(episode, infos={})])
     with pytest.raises(UsageError, match=r"'walker/bare-v0' holds no physics states"):
         cudc_bench.coverage("walker/bare-v0")
-    make_dataset("walker/broken-v0", [Episode(1, episode.observations, episode.actions, {"physics": np.full((6, 18), np.nan)})])
+    make_dataset("walker/broken-v0", [episode])
+    with h5py.File(dataset_path("walker/broken-v0") / "data/main_data.hdf5", "r+") as file:
+        file["episode_0/infos/physics"][...] = np.nan
     with pytest.raises(RunError, match="not finite"):
         cudc_bench.coverage("walker/broken-v0")
     with pytest.raises(UsageError, match="there is no dataset"):

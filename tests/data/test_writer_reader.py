@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +17,7 @@ import cudc_bench
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import BrokenDownError, UsageError
 
 ID = "walker/made-v0"
 LENGTHS = (4, 1, 1000, 17, 2, 250)
@@ -155,6 +157,32 @@ def test_states_belong_to_their_observations(smoke: Path) -> None:
             mujoco.mj_kinematics(walker.model, walker.data)
             walker.observe(found)
             assert found.tobytes() == observations[t].tobytes()
+
+
+@pytest.mark.parametrize("where", ["shards", "file"])
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("observations", np.inf, "a number of observations is not finite"),
+        ("rewards", 1e300, "a number of rewards is not finite"),
+        ("actions", 1.5, "an action is out of [-1, 1]"),
+        ("infos/skill", np.nan, "a number of infos/skill is not finite"),
+    ],
+)
+def test_what_no_reader_takes_is_not_stored(
+    field: str, value: float, says: str, where: str, tmp_path: Path, make_episodes: Callable
+) -> None:
+    """In the type in which it is stored: a float64 beyond float32 is not finite there."""
+    whole, bad = make_episodes([4, 4])
+    with np.errstate(over="ignore"):
+        if field == "infos/skill":
+            bad = dataclasses.replace(bad, infos=bad.infos | {"skill": np.full((5, 2), value, np.float32)})
+        else:
+            getattr(bad, field)[2] = value
+    shards = EpisodeShards(tmp_path / "shards")
+    shards.add(whole)
+    with pytest.raises(BrokenDownError, match=re.escape(f"cannot be stored: {says} at step ")):
+        write_episodes(tmp_path / "data", [whole, bad]) if where == "file" else shards.add(bad)
 
 
 def test_the_same_episodes_give_the_same_bytes(tmp_path: Path, make_episodes: Callable) -> None:

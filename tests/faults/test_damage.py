@@ -9,10 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import minari
 import pytest
 
-from cudc_bench.artefacts.manifest import metadata_path, read_manifest
+from cudc_bench.artefacts.manifest import FieldHasher, fingerprint, metadata_path, read_manifest
 from cudc_bench.cli import app as command_line
 from cudc_bench.collectors.running import loop
 from cudc_bench.data.reader import verify_fingerprint
@@ -176,6 +177,57 @@ def test_a_damaged_dataset_is_one_line_wherever_it_is_read(what: str, which: str
     refused(main("verify", which), 1, f"'{which}' fails the check")
     assert main("list").code == 0
     assert "walker/walk/cudc-v0" in minari.list_local_datasets()
+
+
+def replaced(name: str, change: Callable[[Any], Any]) -> Callable[[Any], None]:
+    """Store an array anew, as another type or with other numbers."""
+
+    def damage(group: Any) -> None:
+        values = change(group[name][()])
+        del group[name]
+        group[name] = values
+
+    return damage
+
+
+def with_nan(array: Any) -> Any:
+    array[5] = float("nan")
+    return array
+
+
+BASES = {
+    "an observation": (replaced("observations", lambda x: x + 1e-3), False, "observations changed after it was made"),
+    "ends": (replaced("terminations", lambda x: ~x), False, "terminations changed after it was made"),
+    "byte order": (replaced("actions", lambda x: x.astype(">f4")), True, "numbers in another byte order"),
+    "type": (replaced("observations", lambda x: x.astype("f8")), True, "observations has rows of float64 (24,), not of float32"),
+    "type of ends": (replaced("truncations", lambda x: x.astype("i8")), True, "truncations has rows of int64 (), not of bool"),
+    "not finite": (replaced("infos/physics", with_nan), True, "a number of infos/physics is not finite, first in row 5"),
+    "wild action": (replaced("actions", lambda x: x * 5), True, "an action is out of [-1, 1]"),
+    "a word for a seed": (lambda group: group.attrs.__setitem__("seed", "one"), False, "the seed of /episode_1 is no number"),
+    "seeds": (lambda group: group.attrs.__setitem__("seed", [1, 2]), False, "the seed of /episode_1 is no number"),
+}
+
+
+@pytest.mark.parametrize("standalone", [(), ("--standalone",)], ids=["linked", "standalone"])
+@pytest.mark.parametrize("what", BASES)
+def test_a_damaged_base_is_not_relabelled(what: str, standalone: tuple[str, ...], main: Callable, smoke: Path) -> None:
+    """Whatever of it is damaged, what rewards are not made of included; also with hashes that fit the damage."""
+    damage, forged, says = BASES[what]
+    path = smoke / "walker/cudc-v0" / HDF5
+    with h5py.File(path, "r+") as file:
+        damage(file["episode_1"])
+        hasher = FieldHasher()
+        for index in range(3):
+            for name in read_manifest("walker/cudc-v0").fields:
+                hasher.update(name, file[f"episode_{index}/{name}"][()])
+    if forged:
+        metadata = metadata_path("walker/cudc-v0")
+        content = json.loads(metadata.read_text())
+        content["cudc_bench"] |= {"fields": hasher.digests(), "fingerprint": fingerprint(hasher.digests())}
+        metadata.write_text(json.dumps(content))
+    before = sorted((smoke / "walker").rglob("*"))
+    refused(main("relabel", "walker/cudc-v0", "--task", "run", "--overwrite", *standalone), 1, says)
+    assert sorted((smoke / "walker").rglob("*")) == before
 
 
 def damaged_metadata() -> dict[str, str]:

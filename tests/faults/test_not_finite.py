@@ -62,6 +62,17 @@ def test_a_nan_in_a_state_is_not_stored(main: Callable, datasets: Path, monkeypa
     assert clean(datasets)
 
 
+def test_actions_that_no_dataset_may_hold_are_refused_when_they_are_chosen(
+    main: Callable, datasets: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A simulator would clip them without a word, and verify would refuse the dataset later."""
+    from cudc_bench.collectors.random import Random
+
+    monkeypatch.setattr(Random, "act", lambda self, observation, explore=True: torch.full((1, 6), 5.0))
+    refused(main(*COLLECT), 1, "the method acts out of [-1, 1] at step 0 (up to 5); its act() must keep actions there.")
+    assert clean(datasets)
+
+
 def test_a_collection_that_blows_up_says_so_and_does_not_stand_in_the_next_ones_way(main: Callable, datasets: Path) -> None:
     """In the actions before any metric is looked at, and in the metrics of a line."""
     huge = but(LEARN, learning_rate=1e30)

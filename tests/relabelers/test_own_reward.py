@@ -37,6 +37,12 @@ def wrong_shape(measured):
 def not_a_number(measured):
     return np.log(-np.ones(len(measured["action"])))
 
+def too_large(measured):
+    return np.where(np.arange(len(measured["action"])) == 7, 1e300, 0.0)
+
+def not_real(measured):
+    return np.ones(len(measured["action"])) * 1j
+
 def fails(measured):
     return 1 / 0
 
@@ -177,7 +183,9 @@ def test_what_is_no_reward_function_is_refused_in_one_line(reference: str, messa
     [
         ("wrong_name", r"walker measures no 'torso_hight'; a reward sees: torso_height, .*, observation. Did you mean 'torso_height'\?"),
         ("wrong_shape", r"the reward function own_rewards:wrong_shape returned shape \(3,\) for \d+ steps"),
-        ("not_a_number", "own_rewards:not_a_number returned numbers that are not finite; first at row 0."),
+        ("not_a_number", r"own_rewards:not_a_number returned numbers that are not finite in float32; first at row 0 \(nan\)."),
+        ("too_large", r"own_rewards:too_large returned numbers that are not finite in float32; first at row 7 \(1e\+300\)."),
+        ("not_real", "own_rewards:not_real returned complex128; return real numbers."),
         ("fails", "own_rewards:fails failed: ZeroDivisionError: division by zero."),
     ],
 )
