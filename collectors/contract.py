@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -94,6 +94,33 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
     return batch
 
 
+def low_variety(batch: Batch, scale: float, kinds: int = 6) -> Batch:
+    """A batch of a few transitions only, each many times; the first member's observations are ``scale`` times as large as the others'."""
+    few = copy.copy(batch)
+    size = batch.observation.shape[1]
+    rows, factor = torch.arange(size) % kinds, torch.ones(len(batch.observation), 1, 1)
+    factor[0] = scale
+    few.observation, few.action, few.next_observation = (
+        batch.observation[:, rows] * factor,
+        batch.action[:, rows],
+        batch.next_observation[:, rows] * factor,
+    )
+    few.skill = None if batch.skill is None else batch.skill[:, rows]
+    if batch.nearer_observation is not None:
+        few.nearer_observation = (few.observation + few.next_observation) / 2
+    return few
+
+
+def of_member(batch: Batch, member: int, horizon: Tensor) -> Batch:
+    """One member's part of a batch, for a stack of that one, whose horizon (1,) it gets."""
+    own = slice(member, member + 1)
+    skill = None if batch.skill is None else batch.skill[own]
+    one = Batch(batch.observation[own], batch.action[own], batch.next_observation[own], horizon, skill=skill, measure=batch.measure)
+    if batch.nearer_observation is not None and batch.nearer_horizon is not None:
+        one.nearer_observation, one.nearer_horizon = batch.nearer_observation[own], batch.nearer_horizon[own]
+    return one
+
+
 def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
     """Transitions of a small world, one member's: four causes, which turn, fade, and are moved by the actions, seen through a nonlinear
     mixture with a little noise."""
@@ -113,6 +140,29 @@ def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
     if collector.skill_size:
         batch.skill = collector.sample_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
     return batch
+
+
+def _differs(key: str, step: int) -> Callable[[str], str]:
+    """What is wrong with a metric that is another one in a stack of two than alone."""
+    return lambda text: (
+        f"update {step} measured another '{key}' in a stack of two than alone: what is computed for a member must come from that member's "
+        f"rows (reduce over dimension 1 of (E, B), never over dimension 0). {text}"
+    )
+
+
+# What the failures of several tests say that was expected.
+STATE = (
+    "a method's state that changes in update must be a registered buffer or parameter, or lie in self.optimisers or self.random, whence "
+    "all random numbers must come, so that state_dict holds it"
+)
+IN_PLACE = (
+    "a tensor of the method was replaced by a new one in update; change it in place (copy_, add_), as a graph would go on with the old one"
+)
+REPLAYED = (
+    "as a graph, the update does something else than as it is written: what Python decides (counts, branches) belongs in prepare, "
+    "all else must follow from tensors that are changed in place; or say replayable = False"
+)
+MEASURED = "what is measured for diagnostics alone changed what was collected; a method must not read the simulator's quantities"
 
 
 class _Memory:
@@ -183,31 +233,36 @@ class CollectorContract:
         sizes = SPACES[domain]
         collector = make(name, range(members), sizes)
         metrics = collector.update(batch_for(collector, measure=True))
-        assert all(value.shape == (members,) and torch.isfinite(value).all() for value in metrics.values())
-        assert bool(metrics) == collector.learns
+        for key, value in metrics.items():
+            assert value.shape == (members,), f"'{key}' has shape {tuple(value.shape)}; a metric is a number for each member, ({members},)"
+            assert torch.isfinite(value).all(), f"'{key}' is {value.tolist()}; metrics must be finite"
+        assert bool(metrics) == collector.learns, "update must measure something when batch.measure is set, or the class say learns = False"
         action = collector.act(torch.randn(members, sizes.observation))
-        assert action.shape == (members, sizes.action)
-        assert action.abs().max() <= 1
-        assert collector.horizon.shape == (members,)
-        assert collector.horizon.dtype == torch.int64
-        assert 1 <= int(collector.horizon.max()) <= collector.max_horizon <= sizes.episode_length
-        assert len(collector.summary()) == members
+        expected = (members, sizes.action)
+        assert action.shape == expected, f"act gives {tuple(action.shape)}; one action for each member is {expected}"
+        assert action.abs().max() <= 1, f"act gives {action.abs().max():.3g}; actions must be within [-1, 1] (tanh, clamp)"
+        horizon = collector.horizon
+        assert (horizon.shape, horizon.dtype) == ((members,), torch.int64), f"horizon is {horizon}; it must be (E,) of int64"
+        assert 1 <= int(horizon.max()) <= collector.max_horizon <= sizes.episode_length, "1 <= horizon <= max_horizon <= episode length"
+        assert len(collector.summary()) == members, "summary() gives a dictionary for each member"
 
     def test_says_what_it_is(self, name: str) -> None:
         kind = plugins.load("collectors", name)
-        assert isinstance(kind.family, str)
-        assert isinstance(kind.citation, str)
-        with pytest.raises(AttributeError):  # A manifest states the hyperparameters, so nothing may change them on the way.
-            kind.config_class().anything = 1
+        for attribute in ("family", "citation"):
+            assert isinstance(getattr(kind, attribute, None), str), f"the class must say its {attribute}, a text, for lists and tables"
+        parameters = getattr(kind.config_class, "__dataclass_params__", None)
+        # A manifest states the hyperparameters, so nothing may change them on the way.
+        assert parameters is not None and parameters.frozen, "config_class must be a dataclass(frozen=True)"  # noqa: PT018
 
     def test_acts_deterministically_when_told_and_explores_otherwise(self, name: str) -> None:
         collector = make(name, (1, 2))
         observation = torch.randn(2, 24) * 5
         calm = collector.act(observation, explore=False)
-        assert torch.equal(calm, collector.act(observation, explore=False))
+        again = collector.act(observation, explore=False)
+        assert torch.equal(calm, again), "act(explore=False) gave two answers to one observation; it must be deterministic"
         tries = torch.stack([collector.act(observation) for _ in range(20)])
-        assert tries.abs().max() <= 1
-        assert tries.std(0).min() > 0
+        assert tries.abs().max() <= 1, f"act gives {tries.abs().max():.3g}; actions must be within [-1, 1], noise included"
+        assert tries.std(0).min() > 0, "act(explore=True) gave the same action twenty times; it must explore"
 
     def test_a_restored_state_continues_identically(self, name: str) -> None:
         first = make(name, (1, 2))
@@ -219,37 +274,53 @@ class CollectorContract:
         for step in range(3, 6):
             metrics = [c.update(batch_for(c, seed=step, measure=True)) for c in (first, second)]
             for key, value in metrics[0].items():
-                assert torch.equal(value, metrics[1][key]), key
+                assert torch.equal(value, metrics[1][key]), f"restored, an update measured another '{key}': {STATE}"
         observation = torch.randn(2, 24)
-        assert torch.equal(first.act(observation), second.act(observation))
-        assert digest(first.state_dict()) == digest(second.state_dict())
+        assert torch.equal(first.act(observation), second.act(observation)), f"restored, it acts otherwise: {STATE}"
+        assert digest(first.state_dict()) == digest(second.state_dict()), f"restored, it ended in another state: {STATE}"
 
     def test_members_learn_together_as_they_do_alone(self, name: str) -> None:
-        together = make(name, (5, 6))
-        alone = make(name, (6,))
-        for step in range(10):
-            batch = batch_for(together, seed=step)
-            together.update(batch)
-            skill = None if batch.skill is None else batch.skill[1:2]
-            one = Batch(batch.observation[1:2], batch.action[1:2], batch.next_observation[1:2], alone.horizon, skill=skill)
-            if batch.nearer_observation is not None and batch.nearer_horizon is not None:
-                one.nearer_observation, one.nearer_horizon = batch.nearer_observation[1:2], batch.nearer_horizon[1:2]
-            alone.update(one)
+        """In what they measure (their own rewards and losses) at every update, and in how they act; first on plain data, then on data of
+        little variety, on which what one member has in common with another is most of what there is."""
+        together, alone = make(name, (5, 6)), make(name, (6,))
+        for step in range(24):
+            batch = batch_for(together, seed=step, measure=True)
+            if step >= 10:
+                # What is drawn from all members, such as a maximum or a mean, is now the first one's, or the second one's.
+                batch = low_variety(batch, (0.1, 10.0)[step % 2])
+            metrics = together.update(batch)
+            for key, value in alone.update(of_member(batch, 1, alone.horizon)).items():
+                torch.testing.assert_close(
+                    metrics[key][1:], value, atol=2e-4, rtol=2e-3,
+                    msg=_differs(key, step),
+                )  # fmt: skip
+            if step == 9:
+                self._check_same_actions(together, alone)
+
+    def _check_same_actions(self, together: Any, alone: Any) -> None:
         observation = torch.randn(1, 24)
         pair = together.act(observation.expand(2, -1), explore=False)
-        torch.testing.assert_close(pair[1:], alone.act(observation, explore=False), atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(
+            pair[1:], alone.act(observation, explore=False), atol=1e-4, rtol=1e-4,
+            msg=lambda text: f"a member of a stack of two acts otherwise than alone: members must never see each other. {text}",
+        )  # fmt: skip
         if alone.learns:
-            assert not torch.allclose(pair[0], pair[1])
+            assert not torch.allclose(pair[0], pair[1]), (
+                "members with different seeds act the same: each must draw from its own seed's streams"
+            )
 
     def test_collected_together_equals_collected_alone(self, name: str) -> None:
         # One update before step 1,100; rounding has not had time to grow through the chaos of the simulation.
         pair = _run(make(name, (5, 6)), steps=1100, update_every=90)
         alone = _run(make(name, (6,)), steps=1100, update_every=90)[0]
         for together, single in zip(pair[1].episodes, alone.episodes, strict=True):
-            assert together[0] == single[0]
-            torch.testing.assert_close(torch.from_numpy(together[2]), torch.from_numpy(single[2]), atol=1e-3, rtol=0)
+            assert together[0] == single[0], "a member's episodes must be reset with its own seeds, in a stack as alone"
+            torch.testing.assert_close(
+                torch.from_numpy(together[2]), torch.from_numpy(single[2]), atol=1e-3, rtol=0,
+                msg=lambda text: f"a member of a stack collected other actions than alone: members must never see each other. {text}",
+            )  # fmt: skip
         first = pair[0].episodes[0][2] == pair[1].episodes[0][2]
-        assert not first.all()
+        assert not first.all(), "members with different seeds collected the same actions: each must draw from its own seed's streams"
 
     def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(self, name: str, tmp_path: Path) -> None:
         """Nor does anything but its seed decide how a run ends."""
@@ -276,7 +347,9 @@ class CollectorContract:
 
         with pytest.raises(interrupts.Interrupted, match=r"at step 1,200 of 1,500"):
             run(tmp_path / "stopped", 1200)
-        assert run(tmp_path / "stopped") == run(tmp_path / "whole")
+        stopped, whole = run(tmp_path / "stopped"), run(tmp_path / "whole")
+        for what, one, other in zip(("the final state", "the diagnostics", "an episode"), stopped, whole, strict=True):
+            assert one == other, f"a run that was interrupted and continued ended with another {what.split(' ', 1)[1]}: {STATE}"
 
     def test_three_thousand_steps_make_three_valid_episodes_without_any_reward(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         def poisoned(quantities: Any) -> None:
@@ -299,11 +372,11 @@ class CollectorContract:
             assert actions.shape == (1000, 6)
             assert physics.shape == (1001, 18)
             assert all(np.isfinite(x).all() for x in (observations, actions, physics))
-            assert abs(actions).max() <= 1
-        assert all(reward is None for reward in seen)
-        assert bool(seen) == collector.learns
+            assert abs(actions).max() <= 1, "actions must be within [-1, 1]"
+        assert all(reward is None for reward in seen), "an update was given a reward of the environment"
         # Exactly one update on every 60th step from the first after the random ones.
-        assert len(seen) == (30 if collector.learns else 0)
+        expected = 30 if collector.learns else 0
+        assert len(seen) == expected, f"{len(seen)} updates; a method that learns has {expected} here, another one says learns = False"
 
     def test_what_is_measured_for_diagnostics_never_reaches_the_method(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         """Physical quantities are read for coverage; other quantities must leave every byte and every metric as it was."""
@@ -313,10 +386,10 @@ class CollectorContract:
         other = _run(make(name), steps=1300)[0]
         covered = [[(row.pop("coverage_cells"), row.pop("coverage_entropy")) for row in sink.rows] for sink in (true, other)]
         assert covered[0] != covered[1]
-        assert true.rows == other.rows
+        assert true.rows == other.rows, MEASURED
         for a, b in zip(true.episodes, other.episodes, strict=True):
-            assert a[0] == b[0]
-            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+            assert a[0] == b[0], MEASURED
+            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True)), MEASURED
 
     def test_poisoned_rewards_never_reach_an_update(self, name: str) -> None:
         collectors = [make(name), make(name)]
@@ -324,7 +397,8 @@ class CollectorContract:
             clean, poisoned = (batch_for(c, seed=step, measure=True) for c in collectors)
             poisoned.reward = torch.full(poisoned.action.shape[:2], math.nan)
             metrics = [c.update(batch) for c, batch in zip(collectors, (clean, poisoned), strict=True)]
-            assert all(torch.equal(value, metrics[1][key]) for key, value in metrics[0].items())
+            for key, value in metrics[0].items():
+                assert torch.equal(value, metrics[1][key]), f"'{key}' depends on batch.reward; a collector explores without any reward"
 
     def test_physical_quantities_change_nothing_that_is_collected(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         # They are measured for diagnostics; whatever they say, the method must not hear of it.
@@ -332,7 +406,7 @@ class CollectorContract:
         monkeypatch.setattr("cudc_bench.envs.walker.Walker.quantities", lambda self, out: out.fill(0.0))
         unmeasured = _run(make(name), steps=1200, seed_steps=300)[0]
         for a, b in zip(measured.episodes, unmeasured.episodes, strict=True):
-            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True))
+            assert all(np.array_equal(x, y) for x, y in zip(a[1:], b[1:], strict=True)), MEASURED
 
     def test_a_graph_of_its_update_does_what_the_update_does(self, name: str) -> None:
         """As on CUDA: nothing but tensors that stay where they are decides what an update does, and it waits for none of them."""
@@ -360,10 +434,10 @@ class CollectorContract:
                 # A tensor that was replaced would be the old one to a graph, whether its value has changed by now or not.
                 places.append([tensor.data_ptr() for tensor in (*collector.parameters(), *collector.buffers())])
                 seen.append(digest([batch.observation.clone(), collector.act(torch.ones(2, 24)), *metrics.values()]))
-            assert all(one == places[0] for one in places)
+            assert all(one == places[0] for one in places), IN_PLACE
             return digest(collector.state_dict()), seen
 
-        assert run(RecordedGraph) == run(None)
+        assert run(RecordedGraph) == run(None), REPLAYED
 
     def test_learns_from_transitions_of_other_lengths(self, name: str) -> None:
         """The k of a method may be set, and the value of s' counts γ^k."""
@@ -375,17 +449,19 @@ class CollectorContract:
             assert collector.horizon.tolist() == [k]
             batch = batch_for(collector, measure=True)
             metrics = collector.update(batch)
-            assert all(torch.isfinite(value).all() for value in metrics.values())
+            for key, value in metrics.items():
+                assert torch.isfinite(value).all(), f"with k = {k}, '{key}' is {value.tolist()}; metrics must be finite"
             if isinstance(collector, DDPG):
                 assert collector.bootstrap(batch).flatten().tolist() == pytest.approx([collector.config.discount**k])
 
     def test_a_last_short_episode_ends_the_dataset(self, name: str) -> None:
         sink = _run(make(name), steps=1300)[0]
-        assert [len(actions) for _, _, actions, _ in sink.episodes] == [1000, 300]
+        assert [len(actions) for _, _, actions, _ in sink.episodes] == [1000, 300], "1,300 steps are episodes of 1,000 and 300"
 
     def test_metrics_are_costly_only_when_measured(self, name: str) -> None:
         collector = make(name)
-        assert collector.update(batch_for(collector)) == {}
+        found = collector.update(batch_for(collector))
+        assert found == {}, f"update measured {', '.join(found)} though batch.measure is not set, and would wait for the device each time"
 
     def test_skills_are_stored_as_the_actions_followed_them(self, name: str) -> None:
         collector = make(name)
@@ -405,6 +481,7 @@ class CollectorContract:
         skills = [torch.from_numpy(skill) for skill in sink.skills if skill is not None]
         assert [skill.shape for skill in skills] == [(length + 1, collector.skill_size) for length in lengths]
         for rows, start in zip(skills, (0, 1000), strict=True):
+            # pytest shows the rows; what is stored at t is the skill that action t followed.
             assert torch.equal(rows[:-1], torch.cat(given[start : start + len(rows) - 1]))
             assert torch.equal(rows[-1], rows[-2])
             changes = (rows[1:-1] != rows[:-2]).any(1).nonzero()[:, 0] + 1
@@ -425,5 +502,5 @@ class CollectorContract:
             mean = [collector.actor(collector.with_skill(batch.observation, skill)) for skill in (batch.skill, other)]
             value = [collector.value(collector.critic, batch.observation, skill, batch.action) for skill in (batch.skill, other)]
         for first, second in (mean, value):
-            assert (first != second).any(-1)[0][different].all()
+            assert (first != second).any(-1)[0][different].all(), "actor and critic must take the skill (with_skill): another gave the same"
             torch.testing.assert_close(first[0][~different], second[0][~different])

@@ -73,6 +73,18 @@ def batch_for(agent: Any, observation: int = 24, action: int = 6, size: int = 32
     return Batch(s, a, following, torch.ones(len(agent.seeds), dtype=torch.int64), r, measure, next_action=a_next)
 
 
+def low_variety(batch: Batch, scale: float, kinds: int = 6) -> Batch:
+    """A batch of a few transitions only, each many times; the first member's observations and rewards are ``scale`` times as large."""
+    assert batch.reward is not None
+    assert batch.next_action is not None
+    rows, factor = torch.arange(batch.observation.shape[1]) % kinds, torch.ones(len(batch.observation), 1, 1)
+    factor[0] = scale
+    few = copy.copy(batch)
+    few.observation, few.next_observation = batch.observation[:, rows] * factor, batch.next_observation[:, rows] * factor
+    few.action, few.next_action, few.reward = batch.action[:, rows], batch.next_action[:, rows], batch.reward[:, rows] * factor[..., 0]
+    return few
+
+
 def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episodes:
     """Episodes of uniformly random actions on Walker, labelled with the live rewards of a task, for a stack of members."""
     simulator, rewards = make_simulators("walker", 1)[0], reward_function("walker")
@@ -93,6 +105,28 @@ def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episod
         labels.append(rewards(quantities)[:, DOMAINS["walker"].tasks.index(task)])
     data.rewards = torch.from_numpy(np.concatenate(labels).astype(np.float32)).expand(len(seeds), -1).contiguous()
     return data
+
+
+def _differs(key: str, step: int) -> Callable[[str], str]:
+    """What is wrong with a metric that is another one in a stack of two than alone."""
+    return lambda text: (
+        f"update {step} measured another '{key}' in a stack of two than alone: what is computed for a member must come from that member's "
+        f"rows (reduce over dimension 1 of (E, B), never over dimension 0). {text}"
+    )
+
+
+# What the failures of several tests say that was expected.
+STATE = (
+    "an algorithm's state that changes in update must be a registered buffer or parameter, or lie in self.optimisers or self.random, from "
+    "where all random numbers must come, so that state_dict holds it"
+)
+IN_PLACE = (
+    "a tensor of the algorithm was replaced by a new one in update; change it in place (copy_, add_), as a graph would use the old one"
+)
+REPLAYED = (
+    "as a graph, the update does something else than as it is written: what Python decides (counts, branches) belongs in prepare, "
+    "all else must follow from tensors that are changed in place; or say replayable = False"
+)
 
 
 class Stopped(Exception):
@@ -128,25 +162,33 @@ class EvaluatorContract:
         agent = make(name, range(members), *sizes)
         # Some move their actors in every second update only.
         metrics = agent.update(batch_for(agent, *sizes, measure=True)) | agent.update(batch_for(agent, *sizes, measure=True))
-        assert metrics
-        assert all(value.shape == (members,) and torch.isfinite(value).all() for value in metrics.values())
-        assert agent.update(batch_for(agent, *sizes)) == {}
+        assert metrics, "update must measure something when batch.measure is set"
+        for key, value in metrics.items():
+            assert value.shape == (members,), f"'{key}' has shape {tuple(value.shape)}; a metric is a number for each member, ({members},)"
+            assert torch.isfinite(value).all(), f"'{key}' is {value.tolist()}; metrics must be finite"
+        found = agent.update(batch_for(agent, *sizes))
+        assert found == {}, f"update measured {', '.join(found)} though batch.measure is not set, and would wait for the device each time"
         actions = agent.act(torch.randn(members, 5, sizes[0]) * 3)
-        assert actions.shape == (members, 5, sizes[1])
-        assert actions.abs().max() <= 1
+        expected = (members, 5, sizes[1])
+        assert actions.shape == expected, (
+            f"act gives {tuple(actions.shape)}; an action for each of 5 observations of each member is {expected}"
+        )
+        assert actions.abs().max() <= 1, f"act gives {actions.abs().max():.3g}; actions must be within [-1, 1] (tanh, clamp)"
 
     def test_says_what_it_is(self, name: str) -> None:
         kind = plugins.load("evaluators", name)
-        assert isinstance(kind.citation, str)
-        assert isinstance(kind.summary, str)
-        with pytest.raises(AttributeError):  # A record states the hyperparameters, so nothing may change them on the way.
-            kind.config_class().anything = 1
+        for attribute in ("citation", "summary"):
+            assert isinstance(getattr(kind, attribute, None), str), f"the class must say its {attribute}, a text, for lists and tables"
+        parameters = getattr(kind.config_class, "__dataclass_params__", None)
+        # A record states the hyperparameters, so nothing may change them on the way.
+        assert parameters is not None and parameters.frozen, "config_class must be a dataclass(frozen=True)"  # noqa: PT018
 
     def test_acts_deterministically_and_as_its_policy_does(self, name: str) -> None:
         agent = make(name, (1, 2))
         observation = torch.randn(2, 4, 24)
-        assert torch.equal(agent.act(observation), agent.act(observation))
-        assert torch.equal(agent.act(observation), agent.policy(observation))
+        first, second, own = agent.act(observation), agent.act(observation), agent.policy(observation)
+        assert torch.equal(first, second), "act gave two answers to one observation; it must be deterministic"
+        assert torch.equal(first, own), "act and policy give other actions; what is evaluated must be what is kept"
         # One member's part of every parameter is that member's policy.
         weights = {key: value[1:] for key, value in agent.policy.state_dict().items()}
         alone = copy.deepcopy(make(name, (7,)).policy)
@@ -161,23 +203,40 @@ class EvaluatorContract:
         second.load_state_dict(copy.deepcopy(first.state_dict()))
         for step in range(3, 6):
             metrics = [agent.update(batch_for(agent, seed=step, measure=True)) for agent in (first, second)]
-            assert all(torch.equal(value, metrics[1][key]) for key, value in metrics[0].items())
+            for key, value in metrics[0].items():
+                assert torch.equal(value, metrics[1][key]), f"restored, an update measured another '{key}': {STATE}"
         observation = torch.randn(2, 4, 24)
-        assert torch.equal(first.act(observation), second.act(observation))
+        assert torch.equal(first.act(observation), second.act(observation)), f"restored, it acts otherwise: {STATE}"
 
     def test_members_learn_together_as_they_do_alone(self, name: str) -> None:
+        """In what they measure (their own losses) at every update, and in how they act; first on plain data, then on data of little
+        variety, on which what one member has in common with another is most of what there is."""
         together, alone = make(name, (5, 6)), make(name, (6,))
-        for step in range(10):
-            batch = batch_for(together, seed=step)
-            together.update(batch)
+        for step in range(24):
+            batch = batch_for(together, seed=step, measure=True)
+            if step >= 10:
+                # What is drawn from all members, such as a maximum or a mean, is now the first one's, or the second one's.
+                batch = low_variety(batch, (0.1, 10.0)[step % 2])
             assert batch.reward is not None
             assert batch.next_action is not None
+            metrics = together.update(batch)
             own = (batch.observation[1:], batch.action[1:], batch.next_observation[1:], batch.horizon[1:], batch.reward[1:])
-            alone.update(Batch(*own, next_action=batch.next_action[1:]))
+            for key, value in alone.update(Batch(*own, measure=True, next_action=batch.next_action[1:])).items():
+                torch.testing.assert_close(
+                    metrics[key][1:], value, atol=2e-4, rtol=2e-3,
+                    msg=_differs(key, step),
+                )  # fmt: skip
+            if step == 9:
+                self._check_same_actions(together, alone)
+
+    def _check_same_actions(self, together: Any, alone: Any) -> None:
         observation = torch.randn(1, 4, 24)
         pair = together.act(observation.expand(2, -1, -1))
-        torch.testing.assert_close(pair[1:], alone.act(observation), atol=1e-4, rtol=1e-4)
-        assert not torch.allclose(pair[0], pair[1])
+        torch.testing.assert_close(
+            pair[1:], alone.act(observation), atol=1e-4, rtol=1e-4,
+            msg=lambda text: f"a member of a stack of two acts otherwise than alone: members must never see each other. {text}",
+        )  # fmt: skip
+        assert not torch.allclose(pair[0], pair[1]), "members with different seeds act the same: each must draw from its own seed's streams"
 
     @pytest.mark.parametrize("action", [6, 1])
     def test_a_member_of_an_exact_stack_is_the_same_to_the_last_bit_as_alone(self, name: str, action: int) -> None:
@@ -222,10 +281,10 @@ class EvaluatorContract:
                 # A tensor that was replaced would be the old one to a graph, whether its value has changed by now or not.
                 places.append([tensor.data_ptr() for tensor in (*agent.parameters(), *agent.buffers())])
                 seen.append(digest([batch.observation.clone(), agent.act(torch.ones(2, 1, 24)), *metrics.values()]))
-            assert all(one == places[0] for one in places)
+            assert all(one == places[0] for one in places), IN_PLACE
             return digest(agent.state_dict()), seen
 
-        assert run(RecordedGraph) == run(None)
+        assert run(RecordedGraph) == run(None), REPLAYED
 
     def test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end(self, name: str) -> None:
         agent = make(name, (1, 2))
@@ -246,7 +305,7 @@ class EvaluatorContract:
         config = EvaluateConfig(gradient_steps=20, evaluate_every=10, evaluation_episodes=1, final_episodes=1, milestones=(10, 20))
         data = [random_walker_data(1, "stand", (3,)) for _ in range(2)]
         first, second = (run_evaluation(make(name, (3,)), d, config, Arena(BRIEF, ["stand"]), lambda n: None) for d in data)
-        assert first == second
+        assert first == second, f"two runs with one seed ended otherwise: {STATE}"
 
     def test_a_run_that_was_stopped_ends_as_if_it_had_not_been(self, name: str, tmp_path: Path) -> None:
         config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 25))
@@ -275,4 +334,4 @@ class EvaluatorContract:
                 run(Checkpoints(folder, {"name": name}, every=0.0), agent)
             again = Checkpoints(folder, {"name": name}, every=0.0)
             assert again.load(lambda step, state: None) == stop
-            assert run(again, make(name, (3, 4))) == whole
+            assert run(again, make(name, (3, 4))) == whole, f"a run that was stopped and continued ended otherwise: {STATE}"

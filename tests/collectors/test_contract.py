@@ -100,6 +100,24 @@ class Shares(RND):
         return super().reward(batch).mean(0, keepdim=True).expand(len(self.seeds), -1)
 
 
+class Normalises(RND):
+    """By the largest reward of all members: its critic's optimiser hides most of the difference, and plain data the rest."""
+
+    def reward(self, batch):
+        reward = super().reward(batch)
+        return reward / reward.max()
+
+
+class Remembers(RND):
+    """In an attribute that no state holds."""
+
+    seen = 0.0
+
+    def reward(self, batch):
+        self.seen = self.seen + 0.1
+        return super().reward(batch) * self.seen
+
+
 class Forgets(RND):
     """Draws from a generator that no state holds."""
 
@@ -123,23 +141,25 @@ class Overshoots(RND):
 
 
 @pytest.mark.parametrize(
-    ("kind", "test", "arguments"),
+    ("kind", "test", "arguments", "expected"),
     [
-        (Peeks, "test_poisoned_rewards_never_reach_an_update", ()),
-        (Shares, "test_members_learn_together_as_they_do_alone", ()),
-        (Forgets, "test_a_restored_state_continues_identically", ()),
-        (Forgets, "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been", (Path,)),
-        (Shrinks, "test_the_representation_does_not_collapse", ()),
-        (Overshoots, "test_acts_deterministically_when_told_and_explores_otherwise", ()),
-        (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1)),
+        (Peeks, "test_poisoned_rewards_never_reach_an_update", (), "a collector explores without any reward"),
+        (Shares, "test_members_learn_together_as_they_do_alone", (), "must come from that member's rows"),
+        (Normalises, "test_members_learn_together_as_they_do_alone", (), "'reward' in a stack of two than alone"),
+        (Remembers, "test_a_restored_state_continues_identically", (), "must be a registered buffer"),
+        (Forgets, "test_a_restored_state_continues_identically", (), "all random numbers must come"),
+        (Forgets, "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been", (Path,), "must be a registered buffer"),
+        (Shrinks, "test_the_representation_does_not_collapse", (), "as much as at the start|directions"),
+        (Overshoots, "test_acts_deterministically_when_told_and_explores_otherwise", (), r"within \[-1, 1\]"),
+        (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1), r"within \[-1, 1\]"),
     ],
 )
-def test_the_battery_notices_what_a_method_must_not_do(kind, test, arguments, monkeypatch, tmp_path):
+def test_the_battery_notices_what_a_method_must_not_do(kind, test, arguments, expected, monkeypatch, tmp_path):
     def run(folder):
         folder.mkdir()
         getattr(CollectorContract(), test)("rnd", *(folder if one is Path else one for one in arguments))
 
     run(tmp_path / "right")
     monkeypatch.setattr(plugins, "load", lambda *names: kind)
-    with pytest.raises(AssertionError):
+    with pytest.raises(AssertionError, match=expected):
         run(tmp_path / "wrong")

@@ -35,6 +35,14 @@ class Shares(TD3):
         return super().actor_value(batch, mean) * super().actor_value(batch, mean).detach().mean()
 
 
+class Normalises(TD3):
+    """By the largest value of all members: Adam does not see how large a loss is."""
+
+    def actor_value(self, batch, mean):
+        value = super().actor_value(batch, mean)
+        return value / value.detach().abs().max()
+
+
 class Forgets(TD3):
     """Draws from a generator that no state holds."""
 
@@ -50,17 +58,18 @@ class Overshoots(TD3):
 
 
 @pytest.mark.parametrize(
-    ("kind", "test", "arguments"),
+    ("kind", "test", "arguments", "expected"),
     [
-        (Shares, "test_members_learn_together_as_they_do_alone", ()),
-        (Forgets, "test_a_restored_state_continues_identically", ()),
-        (Forgets, "test_a_run_is_repeated_exactly", ()),
-        (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1)),
-        (Overshoots, "test_acts_deterministically_and_as_its_policy_does", ()),
+        (Shares, "test_members_learn_together_as_they_do_alone", (), "must come from that member's rows"),
+        (Normalises, "test_members_learn_together_as_they_do_alone", (), "'actor_loss' in a stack of two than alone"),
+        (Forgets, "test_a_restored_state_continues_identically", (), "must be a registered buffer"),
+        (Forgets, "test_a_run_is_repeated_exactly", (), "all random numbers must come"),
+        (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1), r"within \[-1, 1\]"),
+        (Overshoots, "test_acts_deterministically_and_as_its_policy_does", (), "what is evaluated must be what is kept"),
     ],
 )
-def test_the_battery_notices_what_an_algorithm_must_not_do(kind, test, arguments, monkeypatch):
+def test_the_battery_notices_what_an_algorithm_must_not_do(kind, test, arguments, expected, monkeypatch):
     getattr(EvaluatorContract(), test)("td3", *arguments)
     monkeypatch.setattr(plugins, "load", lambda *names: kind)
-    with pytest.raises(AssertionError):
+    with pytest.raises(AssertionError, match=expected):
         getattr(EvaluatorContract(), test)("td3", *arguments)
