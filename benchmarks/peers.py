@@ -46,6 +46,7 @@ from benchmarks.engines import EPISODES, updates
 from benchmarks.measure import Row, fastest_interleaved
 from cudc_bench import plugins
 from cudc_bench.evaluators import actor_critic, cql
+from cudc_bench.execution.parallel import kept_memory
 from cudc_bench.learning import networks
 from cudc_bench.learning.compiled import missing_compiler
 
@@ -81,7 +82,9 @@ def run() -> Iterator[Row]:
     for size, (count, rounds) in SIZES.items():
         for algorithm in OURS:
             if makers := {name: make for name, (algorithms, make) in there.items() if algorithm in algorithms}:
-                yield from _compare(algorithm, size, count, rounds, makers, engines)
+                with kept_memory():  # as our runs have it, here for all
+                    rows = list(_compare(algorithm, size, count, rounds, makers, engines))
+                yield from rows
 
 
 def _compare(algorithm: str, size: int, count: int, rounds: int, makers: dict[str, Maker], engines: tuple[str, ...]) -> Iterator[Row]:
