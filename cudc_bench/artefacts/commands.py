@@ -50,9 +50,11 @@ class Parsed:
 
     def names(self, parameter: str) -> tuple[str, ...]:
         """The values of a parameter that takes several, separated by commas or each by itself; none where it is not given."""
-        value = self.values.get(parameter) or ""
-        parts = value.split(",") if isinstance(value, str) else [str(one) for one in value]
-        return tuple(part.strip() for part in parts if part.strip())
+        value = self.values.get(parameter)
+        if isinstance(value, list | tuple):
+            return tuple(str(one) for one in value)
+        parts = "" if value is None else str(value)
+        return tuple(part.strip() for part in parts.split(",") if part.strip())
 
     def contradictions(self, expected: Mapping[str, str | int | None]) -> Iterator[str]:
         """Where a command, with its defaults, would not do what it is said to have done.

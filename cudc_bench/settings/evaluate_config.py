@@ -106,12 +106,13 @@ def profile_values(profile: Profile, gradient_steps: int) -> dict[str, Any]:
     return dict(profile.evaluate) | {"schedule_steps": gradient_steps}
 
 
-def plain_values(kind: Any, profile: Profile, gradient_steps: int) -> Mapping[str, Any]:
+def plain_values(kind: Any, profile: Profile, gradient_steps: int, later: bool = True) -> Mapping[str, Any]:
     """All hyperparameters of an algorithm at a profile, from which a record's ``overrides`` say what differs.
 
     Args:
         kind: a registered evaluator.
         profile: the set of hyperparameters.
         gradient_steps: how long the run is.
+        later: also the defaults of ``ADDED_LATER`` fields, which records leave out.
     """
-    return as_dict(build(EvaluateConfig, profile.evaluate), kind.configure(profile_values(profile, gradient_steps)), later=True)
+    return as_dict(build(EvaluateConfig, profile.evaluate), kind.configure(profile_values(profile, gradient_steps)), later=later)

@@ -8,19 +8,19 @@ command can show; tables say that nobody did.
 from __future__ import annotations
 
 import hashlib
-import shlex
+import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.commands import LONGEST, parse_command, settings_that_differ
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import IMPORTED_PROFILE
 from cudc_bench.artefacts.provenance import knows_commit
@@ -41,6 +41,16 @@ FOLDER = "submitted"  # in that of the records
 _LARGEST_FILE = 32 * 2**20  # bytes; a record of the paper's size has about 100 KB
 _TELLING = 5  # So many different returns are never the same by chance; fewer may be, such as those of a task that nobody solves.
 _CLOCKS = timedelta(days=1)  # by how much they may differ
+# What is taken of a record: entries of a mapping (a learner has about 40 hyperparameters), characters of one with its name, and rows of a
+# list (at the paper's size a curve has 51 evaluations).
+_MOST_ENTRIES, _LONGEST_ENTRY, _MOST_ROWS = 200, 1_000, 10_000
+# Parameters of ``evaluate``: those that a dataset's id decides as well, with others that decide what a record says, and some that change
+# nothing of it.
+_OF_DATA = frozenset({"domain", "method", "seeds", "tasks"})
+_DECISIVE = _OF_DATA | {
+    "algo", "profile", "settings", "precision", "training_seeds", "steps", "dataset_id", "dataset_size", "reward",
+    "overwrite", "device", "engine", "workers", "policy", "fresh", "checkpoint_every",
+}  # fmt: skip
 
 
 class RefusedError(UsageError):
@@ -177,6 +187,9 @@ def _place(results: Path, record: Record) -> Path:
 
 def _contradictions(record: Record) -> Iterator[str]:
     """What cannot be right about a record by itself."""
+    if too_long := list(_about_size(record)):
+        yield from too_long
+        return
     why = impossible(record)
     if why is not None:
         yield why
@@ -230,22 +243,70 @@ def _about_data(record: Record) -> Iterator[str]:
         yield f"it was trained on the first {data.used:,} of {data.steps:,} transitions, which are no part of them."
 
 
+def _about_size(record: Record) -> Iterator[str]:
+    """What is longer than any honest record has it: everything else is looked at, written and shown many times over."""
+    counts = {
+        "hyperparameters": record.hyperparameters, "overrides": record.overrides, "overrides of its dataset": record.dataset.overrides,
+        "versions": record.versions, "entries about its machine": record.machine,
+    }  # fmt: skip
+    for what, values in counts.items():
+        if len(values) > _MOST_ENTRIES:
+            yield f"it has {len(values):,} {what}, at most {_MOST_ENTRIES:,} are taken."
+        else:
+            for name, value in values.items():
+                if (length := len(name) + len(json.dumps(value))) > _LONGEST_ENTRY:
+                    yield f"its {what} have one of {length:,} characters ({name:.30}), at most {_LONGEST_ENTRY:,} are taken."
+    evaluations = [*record.curve, *record.finals]
+    for what, count in (
+        ("evaluations", len(evaluations)), ("lines of metrics", len(record.metrics)), ("milestones", len(record.milestones)),
+        ("episodes in an evaluation", max(len(evaluation.returns) for evaluation in evaluations)),
+        ("metrics in a line", max((len(line.values) for line in record.metrics), default=0)),
+    ):  # fmt: skip
+        if count > _MOST_ROWS:
+            yield f"it has {count:,} {what}, at most {_MOST_ROWS:,} are taken."
+    for what, text in (("dataset id", record.dataset.id), ("hash", record.hyperparameters_hash), ("commit", record.commit or ""),
+                       ("time of creation", record.created)):  # fmt: skip
+        if len(text) > _LONGEST_ENTRY:
+            yield f"its {what} has {len(text):,} characters, at most {_LONGEST_ENTRY:,} are taken."
+    if len(record.command) > LONGEST:
+        yield f"its command has {len(record.command):,} characters, at most {LONGEST:,} are taken."
+
+
 def _about_command(record: Record) -> Iterator[str]:
-    words = shlex.split(record.command)
-    if words[1:2] != ["evaluate"]:
+    """Whether its command, as the command line itself reads it and with all that it leaves to defaults, makes this record."""
+    try:
+        command = parse_command(record.command)
+        told = command.settings
+    except UsageError as error:
+        yield f"{str(error).rstrip('.')}."
+        return
+    if command.name != "evaluate":
         yield f"its command makes no record: {record.command:.80}"
         return
-    told = dict(pairwise(words))
-    expected = {
-        "--algo": record.algorithm, "--profile": record.profile, "--domain": record.dataset.domain, "--method": record.dataset.method,
-        "--task": record.dataset.task, "--seed": str(record.dataset.seed), "--dataset-id": record.dataset.id,
-        "--training-seeds": str(record.seed),
+    if idle := sorted(command.given - _DECISIVE):
+        yield f"its command says --{idle[0].replace('_', '-')}, which has no part in what a record says; leave it out."
+    data = record.dataset
+    expected: dict[str, str | int | None] = {
+        "domain": data.domain, "method": data.method, "seeds": data.seed, "tasks": data.task, "algo": record.algorithm,
+        "profile": record.profile, "dataset_size": data.used, "reward": None if data.reward is None else data.reward.reference,
     }  # fmt: skip
-    for option, value in expected.items():
-        if option in told and told[option] != value:
-            yield f"its command says {option} {told[option]:.80}, and the record {value}."
-    if record.seed != record.dataset.seed and "--training-seeds" not in told:
-        yield f"it was trained with seed {record.seed} on the dataset of seed {record.dataset.seed}, and its command does not say so."
+    if data.reward is not None:
+        del expected["tasks"]
+    if "dataset_id" in command.given:
+        # The dataset's own are meant then, so that what is left out is not the default.
+        expected = {name: value for name, value in expected.items() if name not in _OF_DATA or name in command.given}
+        expected["dataset_id"] = data.id
+    elif data.source is not None or data.overrides:
+        yield "its command names no --dataset-id, and would collect another dataset."
+    if "training_seeds" in command.given or record.seed != data.seed:
+        expected["training_seeds"] = record.seed
+    everything = {"precision": "float32"} | in_full(record.hyperparameters)
+    overrides = dict(record.overrides)
+    if "steps" in command.given:
+        expected["steps"] = everything.get("gradient_steps")
+        overrides = {name: value for name, value in overrides.items() if name not in ("gradient_steps", "milestones")}
+    for problem in (*command.contradictions(expected), *settings_that_differ(told, overrides, everything)):
+        yield f"{problem}."
 
 
 def _about_settings(record: Record, profile: Profile, loop: EvaluateConfig) -> Iterator[str]:
@@ -264,11 +325,11 @@ def _about_settings(record: Record, profile: Profile, loop: EvaluateConfig) -> I
             yield f"its overrides name {settings_text({name: value})}, which is what profile {profile.name} has."
 
 
-def _usual(algorithm: str, profile: Profile, loop: EvaluateConfig) -> Mapping[str, Any]:
+def _usual(algorithm: str, profile: Profile, loop: EvaluateConfig, later: bool = True) -> Mapping[str, Any]:
     """The values that a profile gives an algorithm: all of one that is installed, of others what all algorithms share."""
     if algorithm in plugins.names("evaluators"):
-        return plain_values(plugins.load("evaluators", algorithm), profile, loop.gradient_steps)
-    return {**profile.evaluate, **as_dict(build(EvaluateConfig, profile.evaluate), later=True)}
+        return plain_values(plugins.load("evaluators", algorithm), profile, loop.gradient_steps, later=later)
+    return {**profile.evaluate, **as_dict(build(EvaluateConfig, profile.evaluate), later=later)}
 
 
 def _about_evaluations(record: Record, loop: EvaluateConfig) -> Iterator[str]:
@@ -303,7 +364,9 @@ def _remarks(record: Record) -> Iterator[str]:
     yield f"made with {plain(made)}, cudc-bench {plain(record.versions.get('cudc-bench', 'unknown'))}."
     if record.group != record.profile:
         yield f"a table of its own: {plain(record.group)}."
-    usual = _usual(record.algorithm, PROFILES[record.profile], build(EvaluateConfig, in_full(record.hyperparameters)))
+    loop = build(EvaluateConfig, in_full(record.hyperparameters))
+    # What is written down only where it is not the default is lacking in no record.
+    usual = _usual(record.algorithm, PROFILES[record.profile], loop, later=False)
     if record.algorithm not in plugins.names("evaluators"):
         yield f"the algorithm {record.algorithm} is not installed here; of its settings only those that all algorithms share were checked."
     elif lacking := sorted(usual.keys() - in_full(record.hyperparameters).keys()):
