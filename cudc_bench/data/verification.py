@@ -53,6 +53,7 @@ _SIZES = 0.0501  # MB by which a stored size may differ: Minari's own functions 
 _CELLS, _COVERAGE = 2, 0.01
 # What other mathematical libraries may do to a reward of at most 1; where versions and processor are the same, nothing.
 _REWARD_ROUNDING = 1e-6
+_COVERED = "the coverage is that of its states"
 _RESTORE = "restore it from a copy, or make it again with --overwrite"
 
 
@@ -165,7 +166,7 @@ class _Verifier:
         manifest = self._manifest
         if manifest.imported is None:
             self._unproven.append(f"that {manifest.method} with these hyperparameters chose the actions")
-            measured = "the diagnostics" if "coverage_cells" not in manifest.diagnostics else "the diagnostics but for the coverage"
+            measured = "the diagnostics but for the coverage" if _COVERED in self._proven else "the diagnostics"
             self._unproven.append(f"{measured}, and the final state" if manifest.final_state else measured)
         else:
             self._unproven.append(f"that {manifest.imported.source}'s {manifest.method} collected it")
@@ -479,7 +480,7 @@ class _Verifier:
             slack = max(share * found[name], _CELLS if share and name == "coverage_cells" else 1e-9)
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value - found[name]) <= slack:
                 self._fail("coverage", f"its diagnostics have {name} {value!r:.40}, but its states {found[name]}")
-        self._proven.append("the coverage is that of its states")
+        self._proven.append(_COVERED)
         return f"{found['coverage_cells']:,} cells, entropy {found['coverage_entropy']:.6g}, as the diagnostics have it"
 
     # --------------------------------------------------------------------------------------------------------------------- simulation
@@ -564,7 +565,8 @@ class _Verifier:
             self._proven.append(f"{followed:,} of {episodes:,} episodes are, up to rounding, what their actions lead to")
             made = self._manifest.collected or self._manifest
             where = f"made on {made.machine.get('processor', 'an unknown processor')}, MuJoCo {made.versions.get('mujoco', 'unknown')}"
-            self._unproven.append(f"the last digits of states ({where if seeded else 'seeds and MuJoCo are not known'})")
+            what = f"the last digits of states ({where})" if seeded else "how its episodes began, and the last digits of states"
+            self._unproven.append(what)
         if (left := episodes - exact - followed) > 0:
             self._unproven.append(f"{left:,} of {episodes:,} episodes, which were not simulated (--all)")
 

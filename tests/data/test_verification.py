@@ -342,6 +342,8 @@ def test_what_cannot_be_proven_is_named(smoke: Path) -> None:
         "when, where, by whom and with which versions it was made", "descriptions and the card",
     )  # fmt: skip
     assert "its rewards are those of walk" in walk.proven
+    # The base has been asked, which is verified by itself.
+    assert "the diagnostics, and the final state" in walk.unproven
 
 
 def test_what_minaris_own_tools_write_is_no_damage(smoke: Path) -> None:
