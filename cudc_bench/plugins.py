@@ -14,11 +14,12 @@ from typing import Any
 from cudc_bench.errors import RunError, unknown
 
 OWN = "cudc-bench"  # the distribution that this is
-KINDS = ("collectors", "relabelers", "evaluators", "stages", "commands")
+KINDS = ("collectors", "relabelers", "evaluators", "domains", "stages", "commands")
 _SINGULAR = {
     "collectors": "method",
     "relabelers": "domain",
     "evaluators": "algo",
+    "domains": "domain",
     "stages": "stage",
     "commands": "command",
 }

@@ -237,7 +237,8 @@ def test_everything_registered_can_be_loaded(kind: str, name: str) -> None:
 def test_what_is_registered_is_what_the_project_declares() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     for kind in plugins.KINDS:
-        assert set(declared[f"cudc_bench.{kind}"]) <= set(plugins.names(kind))
+        # Domains are registered by other packages only: ours are known without looking for any.
+        assert set(declared.get(f"cudc_bench.{kind}", {} if kind == "domains" else None)) <= set(plugins.names(kind))
 
 
 # Of each folder of stages one that has a public function in it.

@@ -21,7 +21,7 @@ from tests import ROOT
 from .waiting import PATIENCE
 
 EXAMPLES = ROOT / "examples"
-PACKAGES = {"plugin": "test_re3.py", "learner": "test_awac.py"}  # each with its tests
+PACKAGES = {"plugin": "test_re3.py", "learner": "test_awac.py", "domain": "test_half_cheetah.py"}  # each with its tests
 SITES = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
 
 
@@ -88,6 +88,23 @@ def test_an_installed_algorithm_trains_on_the_data_of_any_method(place: Path, cl
     assert done.code == 0, done.err
     record = read_record(tmp_path / "results/smoke/walker/walk/cudc-v0/awac-seed1.json")
     assert (record.algorithm, record.hyperparameters["temperature"]) == ("awac", 1.0)
+
+
+def test_an_installed_domain_is_collected_labelled_and_proven(place: Path, cli: Callable) -> None:
+    for command in (
+        ["collect", "--method", "random", "--domain", "half_cheetah", "--profile", "smoke"],
+        ["relabel", "half_cheetah/random-v0", "--task", "run"],
+    ):
+        done = cli(*command, interpreter=interpreter(place))
+        assert done.code == 0, done.err
+    done = cli("verify", "half_cheetah/run/random-v0", interpreter=interpreter(place))
+    assert done.code == 0, done.err
+    assert "equal to run computed from the states" in done.out
+    # Without the package nobody can simulate it, and says so.
+    done = cli("verify", "half_cheetah/run/random-v0")
+    assert done.code == 1
+    assert "unknown domain 'half_cheetah'" in done.err
+    assert len(done.err.splitlines()) == 1
 
 
 def test_a_name_that_two_packages_register_is_refused(cli: Callable, datasets: Path, tmp_path: Path) -> None:

@@ -69,10 +69,12 @@ def _methods(broken: list[str]) -> Table:
 
 
 def _domains() -> Table:
+    from cudc_bench import plugins
     from cudc_bench.envs.domains import DOMAINS, SUITE
+    from cudc_bench.envs.registry import check_domain
 
     table = _table("Domains (--domain)", "name", "tasks", "measured", "obs, act, steps")
-    for domain in DOMAINS.values():
+    for domain in map(check_domain, [*DOMAINS, *(name for name in plugins.names("domains") if name not in DOMAINS)]):
         sizes = (domain.observation_size, domain.action_size, domain.episode_length)
         _add(table, domain.name, "\n".join(domain.tasks), "\n".join(domain.quantities), ", ".join(map(str, sizes)))
     table.caption = f"and any of dm_control's suite through Shimmy, slower: {SUITE}<domain>-<task>, such as {SUITE}cheetah-run"

@@ -142,5 +142,7 @@ DOMAINS: dict[str, Domain] = {
 
 
 def domain_title(name: str) -> str:
-    """What a domain is, for people: the environment of dm_control that it is made from."""
+    """What a domain is, for people: the environment of dm_control that it is made from, if it is."""
+    if name not in DOMAINS and not name.startswith(SUITE):
+        return name
     return f"dm_control's {name.removeprefix(SUITE)}" + (" through Shimmy" if name.startswith(SUITE) else "")

@@ -32,7 +32,7 @@ def observation_layout(domain: str) -> tuple[Block, ...]:
     """The parts of a domain's observation (S,) in their order.
 
     Lengths are in m, angles in rad, velocities in m/s and rad/s. Domains of dm_control's suite name their parts, but not what is
-    in them; looking at those loads MuJoCo.
+    in them; looking at those loads MuJoCo. Of other packages' domains only the numbers are known.
 
     Raises:
         UsageError: there is no such domain.
@@ -42,6 +42,8 @@ def observation_layout(domain: str) -> tuple[Block, ...]:
         from cudc_bench.envs.suite import SuiteSimulator
 
         return tuple(Block(name, _numbered(name, size)) for name, size in SuiteSimulator(domain).parts())
+    if domain not in _LAYOUTS:
+        return (Block("observation", _numbered("observation", facts.observation_size)),)
     blocks = _LAYOUTS[domain]
     assert sum(len(block.elements) for block in blocks) == facts.observation_size
     return blocks

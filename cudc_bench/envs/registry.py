@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cudc_bench import plugins
 from cudc_bench.envs.domains import DOMAINS, SUITE, Domain
-from cudc_bench.errors import UsageError, unknown
+from cudc_bench.errors import RunError, UsageError, unknown
 
 if TYPE_CHECKING:
     from cudc_bench.envs.simulator import Simulator
 
+_NAME = re.compile(r"[a-z0-9_]{2,64}")
+
 
 def check_domain(name: str) -> Domain:
-    """Return the domain of that name: one of ours, or ``dm_control/<domain>-<task>`` for any environment of dm_control's suite.
+    """Return the domain of that name: one of ours, one that an installed package registers in the group ``cudc_bench.domains``, or
+    ``dm_control/<domain>-<task>`` for any environment of dm_control's suite.
 
     The latter is defined when it is first asked for, which loads MuJoCo and takes a second or so.
 
     Raises:
         UsageError: there is none, or it is one of the suite's that cannot be used here; the message says why.
+        RunError: a package registers it, but what it registers cannot be used.
     """
     if name.startswith(SUITE):
         from cudc_bench.envs.suite import suite_domain
 
         return suite_domain(name)
-    if name not in DOMAINS:
-        raise unknown("domain", name, [*DOMAINS, f"{SUITE}<domain>-<task>"])
-    return DOMAINS[name]
+    if name in DOMAINS:
+        return DOMAINS[name]
+    if name not in plugins.names("domains"):
+        raise unknown("domain", name, [*DOMAINS, *plugins.names("domains"), f"{SUITE}<domain>-<task>"])
+    return _registered(name)
+
+
+@cache
+def _registered(name: str) -> Domain:
+    found = plugins.load("domains", name)
+    if not isinstance(found, Domain):
+        raise RunError(f"the domain '{name}' is registered as {type(found).__name__}; it must be a cudc_bench.envs.Domain.")
+    if found.name != name or _NAME.fullmatch(name) is None:
+        raise RunError(f"the domain '{name}' calls itself {found.name!a}; both must be the same, of 2 to 64 small letters, digits and '_'.")
+    return found
 
 
 def check_tasks(domain: Domain, tasks: Sequence[str] | None) -> tuple[str, ...]:

@@ -42,7 +42,13 @@ UNCHECKED = {
     "source": "changes the shell that it is given to",
 }  # fmt: skip
 # Names that stand for somebody's own, and where they come from.
-PLACEHOLDERS = {"re3": "examples/plugin", "awac": "examples/learner", "my_rewards:hop": "docs/tutorials/own-reward.md", "all": "every one"}
+PLACEHOLDERS = {
+    "re3": "examples/plugin",
+    "awac": "examples/learner",
+    "half_cheetah": "examples/domain",
+    "my_rewards:hop": "docs/tutorials/own-reward.md",
+    "all": "every one",
+}
 _CLICK: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
@@ -79,7 +85,8 @@ def check_command(words: list[str]) -> None:
         assert values["suite"] in {*suite_names(), "SUITE"}
     # One name stands for one in every command, but ``run`` narrows to domains that its suite has.
     domain = values.get("domain")
-    tasks = check_domain(domain).tasks if domain and "," not in domain and name != "run" else None
+    named = domain and "," not in domain and domain not in PLACEHOLDERS and name != "run"
+    tasks = check_domain(domain).tasks if named else None
     for task in (values.get("tasks") or "all").split(","):
         assert task == "all" or tasks is None or task in tasks, f"{domain} has no task {task}"
     if values.get("settings") and list(values["settings"]) != ["name=value"]:
@@ -158,6 +165,7 @@ def test_every_block_has_a_language_that_is_checked() -> None:
     [
         ("docs/tutorials/own-method.md", "plugin", ("cudc_bench_re3.py", "pyproject.toml", "test_re3.py")),
         ("docs/tutorials/own-learner.md", "learner", ("cudc_bench_awac.py", "pyproject.toml", "test_awac.py")),
+        ("docs/tutorials/gymnasium-domain.md", "domain", ("cudc_bench_half_cheetah.py", "pyproject.toml", "test_half_cheetah.py")),
     ],
 )  # fmt: skip
 def test_a_tutorial_shows_its_example_package_as_it_is(page: str, package: str, files: tuple[str, ...]) -> None:

@@ -22,6 +22,7 @@ from .pages import PAGES, ROOT, block, blocks, commands
 
 FIRST, LEARNER, METHOD = (f"docs/tutorials/{name}.md" for name in ("first-number", "own-learner", "own-method"))
 REWARD, DOMAIN, DATA = (f"docs/tutorials/{name}.md" for name in ("own-reward", "own-domain", "read-data"))
+CHEETAH = "docs/tutorials/gymnasium-domain.md"
 POLICIES = "docs/how-to/policies.md"
 pytestmark = pytest.mark.slow
 # Every block of Python in the documents, by a text that it alone contains, and what runs it.
@@ -43,6 +44,8 @@ RUN = {
     (METHOD, "class TestRE3"): "tests/test_plugin.py",
     (LEARNER, "class AWAC("): "tests/test_plugin.py",
     (LEARNER, "class TestAWAC"): "tests/test_plugin.py",
+    (CHEETAH, "class HalfCheetah"): "tests/test_plugin.py",
+    (CHEETAH, "class TestHalfCheetah"): "tests/test_plugin.py",
 }
 
 
