@@ -103,7 +103,7 @@ class SimulatorEnv(gymnasium.Env[Float32, Float32], EzPickle):
             seed: 0 or more; the episode is that of the dataset which names the same seed.
             options: ``{"physics": state}`` starts from a stored state (P,), such as ``episode.infos["physics"][t]``. Nothing of an
                 observation differs then but what the state does not determine (``Domain.beyond_state``), and following steps
-                differ by what the solver remembered of the step before (``Domain.step_tolerance``).
+                differ by what the solver remembered of the step before (``Domain.drift_tolerance``).
 
         Raises:
             UsageError: the options hold something else, or a state that is not one.
