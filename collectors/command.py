@@ -171,13 +171,14 @@ def _single(method: str, task: str, seed: str, why: str) -> tuple[str, str | Non
 def _imported(one: str) -> None:
     """Say which dataset came to be, and what can be done with it."""
     from cudc_bench.artefacts.manifest import read_manifest
+    from cudc_bench.cli.hints import evaluate_on
     from cudc_bench.execution.progress import echo
 
     print(one)
     manifest = read_manifest(one)
     if manifest.task is not None:
-        echo(f"next: cudc-bench evaluate --dataset-id {one}")
+        echo(f"next: {evaluate_on([one])}")
     elif "infos/physics" in manifest.fields:
-        echo(f"next: cudc-bench relabel {one}, then cudc-bench evaluate --dataset-id {one}")
+        echo(f"next: cudc-bench relabel {one}, then {evaluate_on([one])}")
     else:
         echo(f"next, in Python: minari.load_dataset('{one}')")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -65,6 +67,7 @@ def evaluate(
     fresh: FreshOption = False,
 ) -> None:
     """Train offline algorithms on relabelled datasets and record its scores."""
+    from cudc_bench.artefacts.provenance import command_line
     from cudc_bench.execution.progress import echo
     from cudc_bench.settings.config import parse_settings
 
@@ -81,7 +84,28 @@ def evaluate(
     )  # fmt: skip
     for path in paths:
         print(path)
-    echo(f"next: cudc-bench leaderboard {output}")
+    for line in _scores(paths, output):
+        echo(line)
+    echo(f"next: {command_line('leaderboard', {}, {}, output)}")
+
+
+def _scores(paths: Sequence[Path], output: str) -> Iterator[str]:
+    """One line for each record: its score, its spread, and between what it lies where that was measured."""
+    from statistics import pstdev
+
+    from cudc_bench.artefacts.records import read_record
+    from cudc_bench.artefacts.references import read_references
+
+    bounds, _ = read_references([Path(output)])
+    for path in paths:
+        record = read_record(path)
+        data, episodes = record.dataset, record.conclusion
+        within = bounds.get((record.profile, data.domain, data.task))
+        name = f"{record.algorithm} on {data.id}" + ("" if data.used is None else f" (first {data.used:,})")
+        name += "" if record.seed == data.seed else f", training seed {record.seed}"
+        score = f"{episodes.mean:.1f} ± {pstdev(episodes.returns):.1f} over {len(episodes.returns)} episodes"
+        ends = "" if within is None else f"; random {within.floor:.1f}, trained online {within.ceiling:.1f}"
+        yield f"{name}: {score}{ends}"
 
 
 def reference(

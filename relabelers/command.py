@@ -41,6 +41,7 @@ def relabel(
     """Compute the rewards of tasks from stored physics states."""
     from cudc_bench.artefacts.ids import default_id
     from cudc_bench.artefacts.manifest import check_free, exists
+    from cudc_bench.cli.hints import evaluate_on
     from cudc_bench.envs import check_domain, check_tasks
     from cudc_bench.envs.rewards import load_reward
     from cudc_bench.execution.parallel import worker_count
@@ -80,4 +81,4 @@ def relabel(
         ]
     for one in ids:
         print(one)
-    echo("next: cudc-bench evaluate --algo td3" + (f" --reward {reward} --dataset-id {ids[0]}" if reward else ""))
+    echo(f"next: {evaluate_on(ids, reward=reward) if reward else evaluate_on([str(one) for one in wanted], chosen)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import statistics
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.artefacts.records import read_record
 from cudc_bench.cli.app import main
+from cudc_bench.cli.hints import evaluate_on
 from cudc_bench.errors import DEBUG
 
 from ..served import Finished
@@ -219,9 +221,10 @@ def test_the_calls_of_the_readme_and_what_they_leave(
 
     relabelled = cli("relabel", "walker/cudc-v0")
     assert (relabelled.code, relabelled.out.split()) == (0, [f"walker/{task}/cudc-v0" for task in TASKS]), relabelled.err
-    assert "next: cudc-bench evaluate" in relabelled.err
+    (following,) = [line for line in relabelled.err.splitlines() if line.startswith("next: ")]
+    assert following == "next: cudc-bench evaluate --algo td3 --dataset-id walker/cudc-v0"
 
-    evaluated = cli("evaluate", "--algo", "td3", brief=True)
+    evaluated = cli(*shlex.split(following)[2:], brief=True)
     assert evaluated.code == 0, evaluated.err
     assert "next: cudc-bench leaderboard results" in evaluated.err
     assert "missing" not in evaluated.err
@@ -239,6 +242,10 @@ def test_the_calls_of_the_readme_and_what_they_leave(
         assert [evaluation.step for evaluation in record.curve] == [0, 20, 40]
         assert len(record.final.returns) == 2
         assert all(0 <= value <= 1000 for evaluation in (*record.curve, record.final) for value in evaluation.returns)
+        returns = record.conclusion.returns
+        spread = statistics.pstdev(returns)
+        line = f"td3 on {record.dataset.id}: {statistics.fmean(returns):.1f} ± {spread:.1f} over 4 episodes\n"
+        assert line in evaluated.err
 
     before = tree(tmp_path)
     again = here(["evaluate", "--algo", "td3"])
@@ -250,6 +257,17 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     assert (other.code, other.out) == (2, "")
     assert "records another run (other data or settings); use --overwrite or another --output." in other.err
     assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("profile", ["smoke", "cpu"])
+def test_what_comes_next_works_whatever_the_usual_profile_is(
+    profile: str, cli: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUDC_BENCH_PROFILE", profile)
+    words = shlex.split(evaluate_on(["walker/cudc-v0"], ["walk"]))
+    assert ("--profile" in words) == (profile != "smoke")
+    done = cli(*words[1:], env={"CUDC_BENCH_PROFILE": profile}, brief=True)
+    assert (done.code, done.out) == (0, "results/smoke/walker/walk/cudc-v0/td3-seed1.json\n"), done.err
 
 
 def test_missing_steps_are_done_and_said(cli: Callable, here: Callable, datasets: Path, tmp_path: Path) -> None:

@@ -644,7 +644,7 @@ def test_an_imported_dataset_goes_through_the_chain_in_a_column_of_its_own(
     done = cli("import-exorl", "files", "--method", "cudc", "--dataset-id", "walker/theirs-v0")
     assert (done.code, done.out) == (0, "walker/theirs-v0\n"), done.err
     assert "import cudc on walker from files: 3 files, 3,000 steps" in done.err
-    assert "next: cudc-bench relabel walker/theirs-v0, then cudc-bench evaluate --dataset-id walker/theirs-v0" in done.err
+    assert "next: cudc-bench relabel walker/theirs-v0, then cudc-bench evaluate --algo td3 --dataset-id walker/theirs-v0" in done.err
     manifest = read_manifest("walker/theirs-v0")
     assert manifest.command == ("cudc-bench import-exorl --domain walker --method cudc --seed 1 --dataset-id walker/theirs-v0 files")
     done = cli("relabel", "walker/theirs-v0", "--task", "walk")
