@@ -400,7 +400,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "evaluators": lambda: "\n".join(_of_methods("evaluators")),
     "departures-of-collectors": lambda: departures("collectors"),
     "departures-of-evaluators": lambda: departures("evaluators"),
-    "manifest": _models("cudc_bench.artefacts.manifest", "Manifest", "Base", "RewardFunction", "Import", "Pilot"),
+    "manifest": _models("cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Pilot"),
     "record": _models("cudc_bench.artefacts.records", "Record", "DatasetReference", "Evaluation", "TrainingMetrics", "Submission"),
     "reference": _models("cudc_bench.artefacts.references", "Reference", "ReferenceRun"),
 }
