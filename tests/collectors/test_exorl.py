@@ -531,7 +531,7 @@ def test_the_command_imports_a_damaged_file_whole_or_not_at_all(
         shutil.rmtree(datasets)
         return
     # A first file may be as good as any, and then it is the other one that does not fit it.
-    assert ended.value.code == (2 if first and "'episode_000001_5.npz'" not in err else 1), err
+    assert ended.value.code == (2 if first and "episode_000001_5.npz'" not in err else 1), err
     assert out == ""
     assert err.splitlines()[-1].startswith("cudc-bench: error: '")
     assert len([line for line in err.splitlines() if "error" in line]) == 1
