@@ -92,7 +92,7 @@ REFUSALS = {
     "diagnostics --method cudc,random": "no dataset has the method 'random'; there are: cudc.",
     "diagnostics --method ,": "--method is empty",
     "diagnostics --output /dev/null/below": "output '/dev/null/below' cannot be a folder: '/dev/null' is a file.",
-    "verify": "Missing argument",
+    "verify": "no dataset was named; name some",
     "verify walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
     "verify ../evil-v0": "'../evil-v0' is not a dataset id",
     "verify walker/cudc-v0 --sample 0": "--sample takes 1 or more transitions, not 0; --all takes all.",

@@ -180,7 +180,7 @@ class Killer:
                 os.write(writer, json.dumps(counts).encode())
                 leave(code)
 
-            cli.sys = type("sys", (), {"exit": staticmethod(tell), "stderr": sys.stderr})  # type: ignore[attr-defined]
+            cli.sys = type("sys", (), {"exit": staticmethod(tell), "stdout": sys.stdout, "stderr": sys.stderr})  # type: ignore[attr-defined]
 
         _, status = os.waitpid(self._fork(prepare), 0)
         assert os.waitstatus_to_exitcode(status) == 0, (self.folder / "said").read_text()

@@ -47,9 +47,9 @@ evaluate = { gradient_steps = 2, evaluate_every = 2, milestones = [2], final_epi
 
 
 def timeless(value: Any) -> Any:
-    """A record without what may differ between two runs."""
+    """A record without what may differ between two runs: when, how long, and who was beside it."""
     if isinstance(value, dict):
-        return {name: timeless(one) for name, one in value.items() if name not in {"seconds", "created"}}
+        return {name: timeless(one) for name, one in value.items() if name not in {"seconds", "created", "beside"}}
     return [timeless(one) for one in value] if isinstance(value, list) else value
 
 
