@@ -122,14 +122,8 @@ def evaluate(
         for used in sizes_of(sizes, one, manifest)
         for seed in again or (manifest.seed,)
     ]
-    left = [run for run in runs if overwrite or not run.is_done()]
     groups, stack = stackable(runs), partial(Stack, execution)
-    for run in runs:
-        if run not in left:
-            run.tidy()
-    for group in groups:
-        for done in begun_together([run for run in group if run not in left], stack, SIDE_BY_SIDE):
-            stack(done).tidy()
+    left = _left(groups, stack, overwrite)
     work = Work.plan(execution, "evaluate", groups, left, stack, partial(_beside, execution, chosen.threads))
     total = plans[0].loop.gradient_steps
     echo(
@@ -204,6 +198,20 @@ def _evaluate_members(advance: Advance, stack: Stack, execution: Execution, rewa
                 save_policy(agent, member, run.path)
             write_record(run.path, record_of(run, outcome, execution, engine_of(agent), checkpoints.seconds, len(runs)))
         checkpoints.remove()
+
+
+def _left(groups: Sequence[Sequence[Run]], stack: Callable[[list[Run]], Stack], overwrite: bool) -> list[Run]:
+    """What is to be done of groups of runs; what a killed process left beside the records of others is removed."""
+    left: list[Run] = []
+    for group in groups:
+        waiting = [run for run in group if overwrite or not run.is_done()]
+        recorded = [run for run in group if run not in waiting]
+        for run in recorded:
+            run.tidy()
+        for begun in begun_together(recorded, stack, SIDE_BY_SIDE):
+            stack(begun).tidy()
+        left += waiting
+    return left
 
 
 def _beside(execution: Execution, threads: int | None, run: Run) -> int:
