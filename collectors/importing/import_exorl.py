@@ -29,6 +29,7 @@ from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.seeds import check_seeds
 
 from .exorl import EpisodeFile, FileFault, Layout, RawEpisode, list_files, read_episode
+from .imported import about_arrays, check_return, description
 
 
 def import_exorl(
@@ -120,7 +121,8 @@ def import_exorl(
         )
         with bars([("measure coverage", written.steps)], "steps") as (advance,):
             coverage = measure_coverage(building / "data" / MAIN_FILE, manifest, advance)
-        write_metadata(building / "data", manifest, str(one), _description(manifest, first.layout), coverage)
+        told = description(manifest, first.layout, f"{len(chosen):,} episode files", "in the files")
+        write_metadata(building / "data", manifest, str(one), told, coverage)
         publish(building, one)
     if tally.clipped:
         echo(f"{tally.clipped:,} of {written.steps * facts.action_size:,} numbers in actions were beyond [-1, 1] by rounding: clipped")
@@ -211,8 +213,7 @@ def _episode(raw: RawEpisode, length: int, domain: Domain, task: str | None) -> 
     rewards = None
     if task is not None:
         rewards = arrays["reward"][1 : length + 1, 0].astype("float32")
-        if abs(total := float(rewards.sum(dtype="float64"))) > domain.max_return * (1 + 1e-6):
-            raise FileFault(f"holds rewards that sum to {total:g}; those of {domain.name} {task} reach at most {domain.max_return:g}")
+        check_return(rewards, domain, task)
     infos = {name: arrays[name][: length + 1] for name in (*(["physics"] if raw.layout.physics else []), *raw.layout.extras)}
     return Episode(None, arrays["observation"][: length + 1], arrays["action"][1 : length + 1], infos, rewards)
 
@@ -224,24 +225,7 @@ def _remarks(files: list[EpisodeFile], layout: Layout, task: str | None) -> Iter
     if not layout.physics:
         what = f"only the rewards of {task}, which the files hold, are there" if task else "the dataset can never be labelled for a task"
         yield f"the files hold no physics states: {what}"
-    if layout.extras:
-        yield f"kept beside the known arrays: {', '.join(f'infos/{name}' for name in layout.extras)}"
-    if layout.ignored:
-        yield f"ignored, since not numbers with a row for each step: {', '.join(layout.ignored)}"
-
-
-def _description(manifest: Manifest, layout: Layout) -> str:
-    assert manifest.imported is not None
-    rewards = (
-        f"The rewards are those of {manifest.task} in the files." if manifest.task
-        else "The rewards are all 0. Relabel it for a task with cudc-bench." if layout.physics
-        else "The rewards are all 0."
-    )  # fmt: skip
-    return (
-        f"{manifest.domain} explored by {manifest.method}, imported from {manifest.imported.files:,} episode files of "
-        f"{manifest.imported.source}: not collected by cudc-bench; hyperparameters and episode seeds are not known here. {rewards}"
-        + ("" if layout.physics else " It holds no physics states and cannot be relabelled.")
-    )
+    yield from about_arrays(layout, "step")
 
 
 def _command(

@@ -24,9 +24,10 @@ from cudc_bench.files import check_folder
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.seeds import check_seeds
 
-from .exorl import FileFault
+from .exorl import FileFault, Layout
 from .import_exorl import check_names
-from .minari_file import Described, Layout, MinariEpisode, describe, read_minari
+from .imported import about_arrays, check_return, description
+from .minari_file import Described, MinariEpisode, describe, read_minari
 
 _ID = re.compile(r"[A-Za-z0-9_-]{1,100}(/[A-Za-z0-9_-]{1,100}){0,7}")
 
@@ -113,7 +114,8 @@ def import_minari(
         )  # fmt: skip
         with bars([("measure coverage", written.steps)], "steps") as (advance,):
             coverage = measure_coverage(building / "data" / MAIN_FILE, manifest, advance)
-        write_metadata(building / "data", manifest, str(one), _description(manifest, dataset, layout), coverage)
+        told = description(manifest, layout, f"the Minari dataset {dataset}", "in it")
+        write_metadata(building / "data", manifest, str(one), told, coverage)
         publish(building, one)
     if tally.clipped:
         echo(f"{tally.clipped:,} of {written.steps * facts.action_size:,} numbers in actions were beyond [-1, 1] by rounding: clipped")
@@ -173,8 +175,8 @@ def _episodes(
 
 def _episode(found: MinariEpisode, domain: Domain, task: str | None) -> Episode:
     rewards = None if task is None else found.rewards
-    if rewards is not None and abs(total := float(rewards.sum(dtype="float64"))) > domain.max_return * (1 + 1e-6):
-        raise FileFault(f"holds rewards that sum to {total:g}; those of {domain.name} {task} reach at most {domain.max_return:g}")
+    if rewards is not None and task is not None:
+        check_return(rewards, domain, task)
     return Episode(None, found.observations, found.actions, found.infos, rewards)
 
 
@@ -185,24 +187,7 @@ def _remarks(layout: Layout, described: Described, task: str | None) -> Iterator
         yield f"no physics states are in it (DataCollector keeps them with record_infos=True): {what}"
     if described.task is not None and task is None:
         yield f"the rewards in it, of {described.task}, are left out; --task {described.task} keeps them"
-    if layout.extras:
-        yield f"kept beside the known arrays: {', '.join(f'infos/{name}' for name in layout.extras)}"
-    if layout.ignored:
-        yield f"ignored, since not numbers with a row for each observation: {', '.join(layout.ignored)}"
-
-
-def _description(manifest: Manifest, dataset: str, layout: Layout) -> str:
-    assert manifest.imported is not None
-    rewards = (
-        f"The rewards are those of {manifest.task} in it." if manifest.task
-        else "The rewards are all 0. Relabel it for a task with cudc-bench." if layout.physics
-        else "The rewards are all 0."
-    )  # fmt: skip
-    return (
-        f"{manifest.domain} explored by {manifest.method}, imported from the Minari dataset {dataset} of {manifest.imported.source}: not "
-        f"collected by cudc-bench; hyperparameters and episode seeds are not known here. {rewards}"
-        + ("" if layout.physics else " It holds no physics states and cannot be relabelled.")
-    )
+    yield from about_arrays(layout, "observation")
 
 
 def _command(

@@ -25,7 +25,7 @@ from cudc_bench.envs import Domain
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_regular
 
-from .exorl import LARGEST, ROUNDING, FileFault, is_extra, words
+from .exorl import LARGEST, ROUNDING, FileFault, Layout, is_extra, words
 
 Array = NDArray[Any]
 MOST_EPISODES = 1_000_000
@@ -54,24 +54,6 @@ class Described:
     def file(self) -> Path:
         """The HDF5 file."""
         return self.folder / "data" / MAIN_FILE
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Which infos the episodes of one dataset hold; the same in all of them.
-
-    Attributes:
-        physics: whether simulator states are there.
-        extras: further numeric infos with a row for each observation: name to type and shape of a row.
-        ignored: names of all other infos.
-    """
-
-    physics: bool
-    extras: dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
-    ignored: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return ", ".join([*(["physics"] if self.physics else []), *self.extras, *self.ignored]) or "none"
 
 
 @dataclass(frozen=True)
