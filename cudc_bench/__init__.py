@@ -47,6 +47,7 @@ __all__ = [
     "pilot",
     "relabel",
     "render_policy",
+    "rerun",
     "run_suite",
     "submit",
     "to_d3rlpy",
@@ -55,7 +56,7 @@ __all__ = [
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "load_policy", "render_policy",
-    "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite",
+    "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite", "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

@@ -174,6 +174,20 @@ def lives(process: int) -> bool:
 
 
 @contextmanager
+def environment(name: str, value: str) -> Iterator[None]:
+    """Within this context a variable of the environment has a value, for this process and those that it starts."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = before
+
+
+@contextmanager
 def replacing(path: Path, ending: str = "") -> Iterator[Path]:
     """A temporary neighbour of a file, which takes its place when this context ends, and is gone if it fails.
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
-from cudc_bench.files import check_path
+from cudc_bench.files import check_path, environment
 
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
@@ -87,6 +88,11 @@ def datasets_root() -> Path:
     """
     root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
     return check_path(root, "the dataset root")
+
+
+def rooted_at(root: Path | None) -> AbstractContextManager[None]:
+    """Within this context another folder is the dataset root, for this process and those that it starts; with None the same as before."""
+    return nullcontext() if root is None else environment("MINARI_DATASETS_PATH", str(root))
 
 
 def dataset_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:

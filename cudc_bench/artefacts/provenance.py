@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -12,6 +13,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -164,3 +166,17 @@ def machine(device: str, threads: int, engine: str | None = None) -> dict[str, A
         "device": device,
         "threads": threads,
     } | ({} if engine is None else {"engine": engine})
+
+
+@cache
+def source() -> str:
+    """A hash of this package's own source files, which tells apart what no commit does: local changes."""
+    spec = find_spec("cudc_bench")
+    folders = [Path(place) for place in (spec.submodule_search_locations if spec else None) or ()]
+    for stage in ("collectors", "relabelers", "evaluators", "leaderboard"):
+        inner = find_spec(f"cudc_bench.{stage}")
+        folders += [Path(place) for place in (inner.submodule_search_locations if inner else None) or ()]
+    found = hashlib.sha256()
+    for path in sorted({path for folder in folders for path in folder.rglob("*.py")}):
+        found.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return found.hexdigest()

@@ -40,10 +40,28 @@ DomainName = Annotated[str, Field(pattern=r"^([a-z0-9][a-z0-9_-]{0,63}|dm_contro
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Without those of some fields that say nothing: a file has the form that it had before there was such a field."""
+    return {name: value for name, value in values.items() if value or name not in names}
+
+
 class Strict(BaseModel):
     """Refuses what it does not know, and does not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Collection(Strict):
+    """With what a dataset was collected, so that its record alone is enough to collect it again, whatever defaults are by then.
+
+    Attributes:
+        hyperparameters: all of the collection's.
+        versions, machine: of the collection.
+    """
+
+    hyperparameters: Settings
+    versions: Versions
+    machine: Settings
 
 
 class DatasetReference(Strict):
@@ -58,6 +76,7 @@ class DatasetReference(Strict):
         reward: the user's own function that labelled it, if it is none of the domain's tasks.
         source: who collected it, such as ``"ExORL"``, if it was imported; None if this project's own collector did.
         used: how many of its first transitions were trained on, if not all.
+        collection: with what it was collected; a file without it is of an imported dataset, or from before this was written down.
     """
 
     id: str
@@ -72,6 +91,11 @@ class DatasetReference(Strict):
     reward: RewardFunction | None = None
     source: Source | None = None
     used: Annotated[int, Field(ge=1)] | None = None
+    collection: Collection | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_collection(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without(serialise(self), "collection")
 
 
 class Evaluation(Strict):
@@ -103,6 +127,21 @@ class TrainingMetrics(Strict):
     values: Annotated[dict[str, Finite], Field(max_length=MOST_SETTINGS)]
 
 
+class Reran(Strict):
+    """That a run was made again from its record alone, by this project's code, with the same numbers to the last bit.
+
+    Attributes:
+        collected: whether its dataset was collected again, too, and not only had the same fingerprint.
+        commit, versions: what with.
+        created: UTC time, ISO 8601.
+    """
+
+    collected: bool
+    commit: str | None = None
+    versions: Versions
+    created: str
+
+
 class Submission(Strict):
     """Who handed in a record that was not made here; nothing but ``cudc-bench submit`` writes it.
 
@@ -112,6 +151,7 @@ class Submission(Strict):
         note: one line of theirs or of whoever took it in.
         sha256: of the file as it was handed in.
         submitted: UTC time, ISO 8601.
+        reran: what ``cudc-bench rerun`` found who made the run again; None if nobody did, or it came out with other numbers.
     """
 
     by: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
@@ -119,6 +159,11 @@ class Submission(Strict):
     note: Annotated[str, Field(min_length=1, max_length=300)] | None = None
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     submitted: str
+    reran: Reran | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_rerun(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without(serialise(self), "reran")
 
     @field_validator("note")
     @classmethod
@@ -181,11 +226,7 @@ class Record(Strict):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = serialise(self)
-        for name in ("submission", "late"):
-            if not values[name]:
-                del values[name]
-        return values
+        return _without(serialise(self), "submission", "late")
 
     @model_validator(mode="after")
     def _ordered(self) -> Record:

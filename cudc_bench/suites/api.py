@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.ids import datasets_root
+from cudc_bench.artefacts.ids import datasets_root, rooted_at
 from cudc_bench.errors import UsageError, unknown
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.locks import locked
@@ -20,7 +19,7 @@ from cudc_bench.files import check_folder
 from cudc_bench.learning.engines import check_engine
 from cudc_bench.settings.profiles import resolve_device, resolve_profile
 
-from .cluster import ROOT, Cluster, check_cluster, run_on_ray
+from .cluster import Cluster, check_cluster, run_on_ray
 from .definition import Suite, load_suite, narrow
 from .estimate import Estimates, from_table, measured_here
 from .queue import Queue
@@ -227,16 +226,6 @@ def make_cluster(address: str | None, root: str | Path | None, cpus: int, gpus: 
     return cluster
 
 
-@contextmanager
-def shared_root(cluster: Cluster | None) -> Iterator[None]:
+def shared_root(cluster: Cluster | None) -> AbstractContextManager[None]:
     """Within this context, a cluster's shared dataset root is this process's, too."""
-    before = os.environ.get(ROOT)
-    if cluster is not None and cluster.root is not None:
-        os.environ[ROOT] = str(cluster.root)
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(ROOT, None)
-        else:
-            os.environ[ROOT] = before
+    return rooted_at(None if cluster is None else cluster.root)

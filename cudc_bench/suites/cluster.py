@@ -19,12 +19,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cudc_bench.artefacts.ids import datasets_root, default_id
+from cudc_bench.artefacts.ids import datasets_root, default_id, rooted_at
 from cudc_bench.artefacts.records import Record, record_path
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.parallel import use_cores
-from cudc_bench.files import read_limited, unwritable, write_atomically
+from cudc_bench.files import environment, read_limited, unwritable, write_atomically
 from cudc_bench.settings.config import config_hash
 
 from .display import Display
@@ -40,7 +40,6 @@ _LEAVING = 120.0  # seconds that tasks have to save what they have done
 _LOG = 20_000  # characters of a failed job's log that come back
 RETRIES = 3  # of a task whose node was lost
 THRESHOLDS = "CUDC_BENCH_THRESHOLDS"
-ROOT = "MINARI_DATASETS_PATH"
 
 
 @dataclass(frozen=True)
@@ -282,25 +281,18 @@ def _place(common: Common, cluster: Cluster, thresholds: bytes) -> Iterator[tupl
 
     That folder lies in the dataset root, where it outlives a node if the nodes share it.
     """
-    before = {name: os.environ.get(name) for name in (ROOT, THRESHOLDS)}
-    if cluster.root is not None:
-        os.environ[ROOT] = str(cluster.root)
     use_cores(cluster.cpus)
     key = config_hash({"profile": common.profile, "collect": dict(common.collect), "evaluate": dict(common.evaluate)})
-    folder = datasets_root().absolute() / ".suites" / f"{common.suite}-{key}"
-    own = folder / "thresholds" / f"{os.getpid()}.json"
-    try:
-        if thresholds:
-            write_atomically(own, thresholds)
-        os.environ[THRESHOLDS] = str(own)
-        yield replace(common, output=folder / "results", report=folder / "report"), own
-    finally:
-        own.unlink(missing_ok=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    with rooted_at(cluster.root):
+        folder = datasets_root().absolute() / ".suites" / f"{common.suite}-{key}"
+        own = folder / "thresholds" / f"{os.getpid()}.json"
+        try:
+            if thresholds:
+                write_atomically(own, thresholds)
+            with environment(THRESHOLDS, str(own)):
+                yield replace(common, output=folder / "results", report=folder / "report"), own
+        finally:
+            own.unlink(missing_ok=True)
 
 
 def _attempt(job: Job, here: Common) -> News:

@@ -1,4 +1,4 @@
-"""``cudc-bench run``."""
+"""``cudc-bench run`` and ``cudc-bench rerun``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, EngineOption, WorkersOption, parse_names
+from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, EngineOption, RewardOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.settings.seeds import parse_seeds
@@ -78,6 +78,37 @@ def run(
             echo(f"failed: {line}")
         raise RunError(f"{found.lacking} of {found.jobs} jobs are not done, see above; the same command tries them again.")
     echo(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
+
+
+def rerun(
+    records: Annotated[list[str], typer.Argument(help="Records, or folders of them: one's own, or what others handed in.")],
+    scratch: Annotated[str, typer.Option("--scratch", help="Folder for all that is made; removed if all comes out the same.")] = "rerun",
+    collect: Annotated[bool, typer.Option("--collect", help="Collect every dataset again, also where it is here.")] = False,
+    reward: RewardOption = None,
+    workers: WorkersOption = None,
+    keep: Annotated[bool, typer.Option("--keep", help="Leave what was made.")] = False,
+) -> None:
+    """Make runs again from their records alone, and compare to the last bit."""
+    from pathlib import Path
+
+    from cudc_bench.execution.progress import echo
+
+    from .rerun import rerun as run
+
+    found = run([Path(one) for one in records], scratch=scratch, collect=collect, reward=reward, workers=workers, keep=keep)
+    other = [one for one in found if one.differences]
+    for one in found:
+        what = "its dataset and its run" if one.collected else "its run, on the dataset that is here,"
+        if not one.differences:
+            print(f"{one.path}: {what} came out the same to the last bit")
+            continue
+        print(f"{one.path}: not the same: {'; '.join(one.differences)}")
+        for cause in one.causes:
+            echo(f"  {cause}")
+        if one.made is not None:
+            echo(f"  the new record: {one.made}")
+    if other:
+        raise RunError(f"{len(other)} of {len(found)} records came out with other numbers, see above; what was made is in {scratch}.")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

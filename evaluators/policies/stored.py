@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.again import commands_from_nothing
 from cudc_bench.artefacts.provenance import is_own_command, versions
 from cudc_bench.artefacts.records import Record, read_record
 from cudc_bench.envs import check_domain
@@ -191,4 +192,4 @@ def _other_version(record: Record) -> str:
 
 def _again(record: Record) -> str:
     # The record may be anybody's, and people copy what follows.
-    return f"train it again with: {record.again}" if is_own_command(record.command) else "train it again"
+    return f"train it again with: {' && '.join(commands_from_nothing(record))}" if is_own_command(record.command) else "train it again"

@@ -14,7 +14,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import default_id
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
-from cudc_bench.artefacts.records import DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
+from cudc_bench.artefacts.records import Collection, DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
@@ -220,11 +220,14 @@ def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, sec
     if run.seed != manifest.seed:
         options["--training-seeds"] = str(run.seed)
     finals = [Evaluation(step=step, returns=returns) for step, returns in outcome.finals]
+    made = manifest.collected
+    collection = Collection(hyperparameters=manifest.hyperparameters, versions=made.versions, machine=made.machine) if made else None
     return Record(
         dataset=DatasetReference(
             id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
             seed=manifest.seed, steps=manifest.steps, profile=manifest.profile, overrides=manifest.overrides,
             reward=manifest.reward, source=None if manifest.imported is None else manifest.imported.source, used=run.used,
+            collection=None if manifest.imported is not None else collection,
         ),
         algorithm=plan.algo,
         profile=plan.profile,

@@ -9,11 +9,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cudc_bench.artefacts.ids import default_id, parse_id
+from cudc_bench.artefacts.again import base_id, collect_command
 from cudc_bench.artefacts.manifest import Manifest
-from cudc_bench.artefacts.provenance import command_line, is_own_command
+from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import Record, settings_text
-from cudc_bench.errors import UsageError
 from cudc_bench.text import plain
 
 from ..numbers.columns import column
@@ -59,14 +58,8 @@ class Dataset:
         """What collects and labels it again, as label and command; nothing where no command could."""
         if self.source is not None or self.id is None:
             return []
-        options = {"--domain": self.domain, "--method": self.records[0].dataset.method, "--seed": str(self.seed), "--profile": self.profile}
-        try:
-            if str(default_id(self.domain, self.records[0].dataset.method, self.seed)) != self.id:
-                options["--dataset-id"] = self.id
-        except UsageError:
-            options["--dataset-id"] = self.id
-        found = [("Collect it", command_line("collect", options, self.overrides)), ("Label it", f"cudc-bench relabel {self.id}")]
-        return [(label, command) for label, command in found if is_own_command(command)]
+        found = [("Collect it", collect_command(self.records[0].dataset)), ("Label it", f"cudc-bench relabel {self.id}")]
+        return [(label, command) for label, command in found if command is not None and is_own_command(command)]
 
 
 @dataclass(frozen=True)
@@ -98,7 +91,7 @@ def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
         for record in table.records:
             one = record.dataset
             settings = f"{one.profile} {json.dumps(one.overrides, sort_keys=True)}"
-            together[one.domain, settings, column(record), one.seed, base_id(record) or one.id].append(record)
+            together[one.domain, settings, column(record), one.seed, base_id(record.dataset) or one.id].append(record)
     found = []
     for key in sorted(together):
         domain, settings, method, seed, name = key
@@ -106,24 +99,12 @@ def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
         one = records[0].dataset
         labelled = sorted({(record.dataset.task, record.dataset.id, record.dataset.fingerprint) for record in records})
         slug = file_slug(
-            name.replace("/", "-") if base_id(records[0]) and not one.overrides and one.source is None else "\n".join(map(str, key))
+            name.replace("/", "-") if base_id(records[0].dataset) and not one.overrides and one.source is None else "\n".join(map(str, key))
         )
         # Ids that differ in where a slash stands, and profiles under one id, must not share a page.
         slug = f"{slug[:80]}-{hashlib.sha256(repr((settings, method, seed, name)).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
         found.append(
-            Dataset(base_id(records[0]), plain(name), method, domain, seed, one.steps, one.profile, one.overrides, one.source,
+            Dataset(base_id(records[0].dataset), plain(name), method, domain, seed, one.steps, one.profile, one.overrides, one.source,
                     tuple(labelled), tuple(records), slug)
         )  # fmt: skip
     return found
-
-
-def base_id(record: Record) -> str | None:
-    """The id of the dataset whose states a record's are: ``walker/cudc-v0`` for ``walker/walk/cudc-v0``; None if its id is none."""
-    try:
-        one = parse_id(record.dataset.id)
-    except UsageError:
-        return None
-    parts = one.namespace.split("/")
-    if len(parts) > 1 and parts[-1] == record.dataset.task:
-        return f"{'/'.join(parts[:-1])}/{one.name}-v{one.version}"
-    return str(one)

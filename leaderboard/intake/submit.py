@@ -249,6 +249,11 @@ def _about_size(record: Record) -> Iterator[str]:
         "hyperparameters": record.hyperparameters, "overrides": record.overrides, "overrides of its dataset": record.dataset.overrides,
         "versions": record.versions, "entries about its machine": record.machine,
     }  # fmt: skip
+    if (made := record.dataset.collection) is not None:
+        counts |= {
+            "hyperparameters of its dataset": made.hyperparameters, "versions behind its dataset": made.versions,
+            "entries about its dataset's machine": made.machine,
+        }  # fmt: skip
     for what, values in counts.items():
         if len(values) > _MOST_ENTRIES:
             yield f"it has {len(values):,} {what}, at most {_MOST_ENTRIES:,} are taken."

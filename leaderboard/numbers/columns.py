@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from cudc_bench.artefacts.records import Record
 
@@ -15,7 +17,7 @@ def column(record: Record) -> str:
 
     Of the names of one setting it is always the same one (:func:`~..methods.canonical`). ``"proto (ExORL, 10M)"`` was imported: no profile
     fixes the size of such a dataset; its steps are in the name, so that datasets of different sizes never share a cell. ``"cudc (by ann)"``
-    was handed in by somebody and not run again here.
+    was handed in by somebody.
     """
     dataset, apart = record.dataset, []
     if dataset.source is not None:
@@ -31,6 +33,35 @@ def is_own(record: Record) -> bool:
     return record.dataset.source is None and record.submission is None
 
 
-def submitted_columns(records: Iterable[Record]) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Submitted:
+    """A column that somebody handed in.
+
+    Attributes:
+        name: of the column.
+        runs: in it.
+        reran: how many of them were run again here, with the same numbers.
+    """
+
+    name: str
+    runs: int
+    reran: int
+
+
+def submitted_columns(records: Iterable[Record]) -> tuple[Submitted, ...]:
     """The columns of some records that somebody handed in, sorted."""
-    return tuple(sorted({column(record) for record in records if record.submission is not None}))
+    found: dict[str, list[bool]] = defaultdict(list)
+    for record in records:
+        if record.submission is not None:
+            found[column(record)].append(record.submission.reran is not None)
+    return tuple(Submitted(name, len(reran), sum(reran)) for name, reran in sorted(found.items()))
+
+
+def submitted_caption(columns: Iterable[Submitted]) -> str:
+    """What a caption says of columns that were handed in; empty if none was."""
+    claimed = [one.name if one.reran == 0 else f"{one.name} (but for {one.reran} of {one.runs} runs)"
+               for one in columns if one.reran < one.runs]  # fmt: skip
+    shown = [one.name for one in columns if one.reran == one.runs]
+    return (f" Submitted by others, and not run again here: {', '.join(claimed)}." if claimed else "") + (
+        f" Submitted by others, and run again here with the same numbers: {', '.join(shown)}." if shown else ""
+    )

@@ -37,11 +37,11 @@ from cudc_bench.text import plain
 
 from ..methods import METHOD_ORDER
 from . import statistics
-from .columns import column, submitted_columns
+from .columns import Submitted, column, submitted_caption, submitted_columns
 from .power import FOUND, Power, power_of
 from .scale import BETWEEN, OF_LARGEST, References, scale_of
 from .statistics import SIGNIFICANCE, Floats, Interval, Scores
-from .table import ENOUGH_SEEDS, Table, submitted_caption
+from .table import ENOUGH_SEEDS, Table
 from .words import extent, group_slug, ordered, short, span
 
 THRESHOLDS = np.linspace(0.0, 1.0, 101)  # of performance profiles
@@ -252,7 +252,7 @@ class Overall:
         group, algorithm: as of its tables.
         slug: a safe and unique name for files.
         comparisons: by milestone, the last first; for each all domains together and then, if there are several, each by itself.
-        submitted: methods that others handed in, and nobody ran again here.
+        submitted: methods that others handed in.
         power: what the seeds of the headline, and other numbers of them, can show; None if that is not known.
     """
 
@@ -260,7 +260,7 @@ class Overall:
     algorithm: str
     slug: str
     comparisons: tuple[Comparison, ...]
-    submitted: tuple[str, ...] = ()
+    submitted: tuple[Submitted, ...] = ()
     power: Power | None = None
 
     @property
@@ -364,7 +364,7 @@ def build_overall(tables: Sequence[Table]) -> list[Overall]:
         if comparisons:
             compared = {method for comparison in comparisons for method in comparison.methods}
             handed = submitted_columns(record for table in groups[group, algorithm] for record in table.records)
-            submitted = tuple(method for method in handed if method in compared)
+            submitted = tuple(one for one in handed if one.name in compared)
             found.append(Overall(plain(group), algorithm, group_slug(group, algorithm), comparisons, submitted))
     powers = computed(
         [partial(power_of, [standing.scores for standing in one.headline.standings]) for one in found], "simulating power", "comparisons", 1

@@ -15,6 +15,7 @@ from functools import cached_property
 from statistics import fmean, stdev
 from typing import Any
 
+from cudc_bench.artefacts.again import commands_from_nothing
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Bounds
 from cudc_bench.envs.domains import DOMAINS
@@ -22,7 +23,7 @@ from cudc_bench.settings.evaluate_config import in_full
 from cudc_bench.text import plain
 
 from ..methods import METHOD_ORDER, canonical
-from .columns import column, submitted_columns
+from .columns import column, submitted_caption, submitted_columns
 from .grid import Column, Entry, Grid, Line, Part
 from .scale import CEILING, FLOOR, References, references_caption, serving
 from .statistics import SIGNIFICANCE, holm
@@ -196,11 +197,6 @@ class Table:
         )
 
 
-def submitted_caption(columns: Sequence[str]) -> str:
-    """What a caption says of columns that were handed in; empty if none was."""
-    return f" Submitted by others, and not run again here: {', '.join(columns)}." if columns else ""
-
-
 def origins(records: Iterable[Record]) -> str:
     """The commits that some records say they were made with: ``"commit 0123456 with local changes, no commit"``."""
     told = {
@@ -265,8 +261,12 @@ def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
 
 
 def commands(records: Iterable[Record]) -> list[str]:
-    """The commands that make records again, without repeats."""
-    return sorted({plain(record.again) for record in records})
+    """The commands that make records again from nothing, without repeats: collections, then labels, then trainings."""
+    steps: list[set[str]] = [set(), set(), set()]
+    for record in records:
+        for place, command in enumerate(reversed(commands_from_nothing(record))):
+            steps[place].add(plain(command))
+    return [command for step in reversed(steps) for command in sorted(step)]
 
 
 def seed_scores(records: Iterable[Record], step: int) -> list[float]:

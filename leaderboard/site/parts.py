@@ -274,7 +274,12 @@ def origin(record: Record) -> str:
     """Whose a run's data are."""
     source = record.dataset.source
     data = "collected with cudc-bench" if source is None else f"imported from {source}"
-    return data if record.submission is None else f"{data}; submitted by {record.submission.by}, not run again here"
+    if record.submission is None:
+        return data
+    if record.submission.reran is None:
+        return f"{data}; submitted by {record.submission.by}, not run again here"
+    with_data = " with its dataset" if record.submission.reran.collected else ""
+    return f"{data}; submitted by {record.submission.by}, run again{with_data} here with the same numbers"
 
 
 def by_column(table: Table, task: str) -> dict[str, list[Record]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from cudc_bench.artefacts.again import commands_from_nothing
 from cudc_bench.artefacts.records import Record
 
 from ..numbers.table import ENOUGH_SEEDS, Table
@@ -98,4 +99,4 @@ class Runs(Parts):
         if place := self.site.place(record):
             facts.append(("record", Item(place)))
         return Section(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
-                       code=(("Makes this record again", record.again),))  # fmt: skip
+                       code=(("Makes this record again", "\n".join(commands_from_nothing(record))),))  # fmt: skip

@@ -7,10 +7,11 @@ import json
 import pytest
 
 import cudc_bench
+from cudc_bench.artefacts.again import base_id
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.datasets.behind import base_id, datasets_of
+from cudc_bench.leaderboard.datasets.behind import datasets_of
 from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.leaderboard.output import measured as site_datasets
 from cudc_bench.leaderboard.output.measured import find_local
@@ -41,7 +42,7 @@ def local(smoke, make_record):
 )  # fmt: skip
 def test_the_collected_dataset_of_a_labelled_one(make_record, one, base):
     # A namespace that is the task alone leaves none for the base: the dataset is its own.
-    assert base_id(make_record(task="walk", dataset_id=one)) == (base if one != "walk/mine-v3" else one)
+    assert base_id(make_record(task="walk", dataset_id=one).dataset) == (base if one != "walk/mine-v3" else one)
 
 
 def test_tasks_and_algorithms_share_a_dataset_and_settings_do_not(make_record):
