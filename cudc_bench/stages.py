@@ -12,7 +12,7 @@ from typing import Any
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, default_id, parse_id
-from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, Manifest, exists, read_manifest
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward
 from cudc_bench.errors import RunError, UsageError
@@ -49,7 +49,7 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
     """
     check_domain(domain)
     name = resolve_profile(profile).name
-    ids = [default_id(domain, method, seed) for seed in seeds]
+    ids = [_default_or_imported(domain, method, seed, name) for seed in seeds]
     # What exists can be used without its collector: an imported dataset's was never here.
     if not all(exists(one) for one in ids):
         plugins.check_name("collectors", method)
@@ -60,6 +60,17 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
             if manifest.imported is None:
                 _check_unchanged(manifest, str(one))
     return ids
+
+
+def _default_or_imported(domain: str, method: str, seed: int, profile: str) -> DatasetId:
+    """The default id at a profile; where nothing is there, that of an imported dataset, which goes with every profile."""
+    own, imported = (default_id(domain, method, seed, one) for one in (profile, IMPORTED_PROFILE))
+    if own == imported or exists(own) or not exists(imported):
+        return own
+    try:
+        return imported if read_manifest(imported).imported is not None else own
+    except (UsageError, RunError):
+        return own
 
 
 def _check_unchanged(manifest: Manifest, dataset_id: str) -> None:
@@ -87,47 +98,70 @@ def ensure_collected(
             echo(f"{one} was not collected here: {manifest.describe()}")
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
-        echo(f"{', '.join(str(default_id(domain, method, seed)) for seed in missing)} missing: collecting first")
+        echo(f"{', '.join(str(one) for one in ids if not exists(one))} missing: collecting first")
         plugins.load("stages", "collect")(method, domain, missing, profile=profile, device=device, workers=workers)
     return [str(one) for one in ids]
 
 
-def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None) -> list[str]:
+def ensure_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None, overwrite: bool = False) -> list[str]:
     """The ids of a dataset relabelled for tasks, or by an own reward function, made where they are missing.
+
+    Args:
+        base_id: the task-agnostic dataset.
+        tasks: None for all of its domain.
+        reward: an own reward function instead.
+        overwrite: make those again that are of another base, or by another text of the function.
 
     Raises:
         UsageError: wrong input.
-        RunError: a relabelled dataset exists that was made from another base.
+        RunError: there is such a one, and it is not to be made again.
     """
-    ids = check_relabelled(base_id, tasks, reward)
-    missing = [task for task, one in ids.items() if not exists(one)]
-    if missing:
+    ids = check_relabelled(base_id, tasks, reward, overwrite)
+    stale = {task: why for task, one in ids.items() if (why := _staleness(one, base_id, reward)) is not None}
+    for task, why in stale.items():
+        echo(f"{ids[task]} {why}: relabelling first")
+    if missing := [task for task, one in ids.items() if not exists(one)]:
         echo(f"{', '.join(str(ids[task]) for task in missing)} missing: relabelling first")
-        relabel = plugins.load("stages", "relabel")
-        if reward is None:
-            relabel(base_id, missing)
-        else:
-            relabel(base_id, reward=reward.reference)
+    relabel = plugins.load("stages", "relabel")
+    for some, again in ((missing, False), (list(stale), True)):
+        if some:
+            relabel(base_id, some if reward is None else None, reward=None if reward is None else reward.reference, overwrite=again)
     return [str(one) for one in ids.values()]
 
 
-def check_relabelled(base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None) -> dict[str, DatasetId]:
+def check_relabelled(
+    base_id: str, tasks: Sequence[str] | None, reward: CustomReward | None = None, overwrite: bool = False
+) -> dict[str, DatasetId]:
     """The ids of a dataset relabelled for tasks by task, whether they exist or not.
 
     Raises:
         UsageError: wrong input.
-        RunError: a relabelled dataset exists that was made from another base.
+        RunError: one exists that was made from another base, or by another text of the function, and it is not to be made again.
     """
     base = read_manifest(base_id)
     wanted = check_tasks(check_domain(base.domain), tasks) if reward is None else (reward.name,)
     ids = {task: parse_id(base_id).for_task(task) for task in wanted}
-    option = "" if reward is None else f" --reward {reward.reference}"
-    for one in ids.values():
-        if exists(one):
-            there = read_manifest(one).base
-            if there is None or there.fingerprint != base.fingerprint:
-                raise RunError(f"'{one}' was made from another '{base_id}'; run: cudc-bench relabel {base_id}{option} --overwrite.")
+    for one in () if overwrite else ids.values():
+        if (why := _staleness(one, base_id, reward)) is not None:
+            option = "" if reward is None else f" --reward {reward.reference}"
+            raise RunError(
+                f"'{one}' {why}; evaluate --overwrite labels it again and trains; to label it alone:"
+                f" cudc-bench relabel {base_id}{option} --overwrite."
+            )
     return ids
+
+
+def _staleness(labelled: DatasetId, base_id: str, reward: CustomReward | None) -> str | None:
+    """Why a labelled dataset is not what its base and an own reward function would give now; None if it is, or does not exist."""
+    if not exists(labelled):
+        return None
+    manifest = read_manifest(labelled)
+    if manifest.base is None or manifest.base.fingerprint != read_manifest(base_id).fingerprint:
+        return f"was made from another '{base_id}'"
+    there = manifest.reward
+    if reward is not None and there is not None and there.reference == reward.reference and there.sha256 != reward.sha256:
+        return f"was labelled by another text of the function {reward.reference}"
+    return None
 
 
 def check_reward(manifest: Manifest, dataset_id: str, reward: CustomReward | None) -> None:
@@ -145,7 +179,10 @@ def check_reward(manifest: Manifest, dataset_id: str, reward: CustomReward | Non
     if there is not None and (reward is None or reward.reference != there.reference):
         raise UsageError(f"'{dataset_id}' is labelled by the function {there.reference}; to run it here, give --reward {there.reference}.")
     if there is not None and reward is not None and reward.sha256 != there.sha256:
-        raise RunError(f"the function {there.reference} has changed since '{dataset_id}' was labelled; relabel again with --overwrite.")
+        raise RunError(
+            f"'{dataset_id}' was labelled by another text of the function {there.reference}; label its base again:"
+            f" cudc-bench relabel {manifest.base.id if manifest.base else dataset_id} --reward {there.reference} --overwrite."
+        )
 
 
 def check_profile(manifest: Manifest, dataset_id: str, profile: str) -> None:

@@ -55,7 +55,7 @@ def relabel(
     methods, numbers = parse_names(method), parse_seeds(seeds)
     # Also what is of no use beside ids of datasets: whoever gives it wrongly expects something of it.
     check_domain(domain)
-    resolve_profile(profile)
+    name_of_profile = resolve_profile(profile).name
     worker_count(workers, 1)
     if not wanted:
         for name in methods:
@@ -63,7 +63,7 @@ def relabel(
             for seed in numbers:
                 facts = check_domain(domain)
                 for task in check_tasks(facts, chosen) if reward is None else (load_reward(reward, facts).name,):
-                    base = default_id(domain, name, seed)
+                    base = default_id(domain, name, seed, name_of_profile)
                     # Whether a relabelled dataset fits its base is known once there is one.
                     if not exists(base):
                         check_free(base.for_task(task), overwrite)

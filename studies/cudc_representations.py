@@ -42,7 +42,7 @@ def main(arguments: list[str]) -> None:
             rows: list[dict[str, Any]] = list(csv.DictReader(file))
     else:
         methods = settings_of_cudc()
-        missing = [method for method in methods if not exists(default_id("walker", method, 1))]
+        missing = [method for method in methods if not exists(default_id("walker", method, 1, "cpu"))]
         for method in missing:
             cudc_bench.collect(method, "walker", profile="cpu", settings={"steps": STEPS}, device="cpu")
         rows = [row_of(method) for method in methods]
@@ -59,7 +59,7 @@ def main(arguments: list[str]) -> None:
 
 def row_of(method: str) -> dict[str, Any]:
     """One run; a measure that a setting has no use for is empty."""
-    one = default_id("walker", method, 1)
+    one = default_id("walker", method, 1, "cpu")
     manifest = read_manifest(one)
     if manifest.steps != STEPS:
         raise SystemExit(f"{one} has {manifest.steps:,} steps, not {STEPS:,}; use another dataset root")

@@ -42,7 +42,7 @@ def last_quarter(one: DatasetId, names: Iterable[str]) -> dict[str, float]:
 
 def row_of(method: str, seed: int) -> dict[str, Any]:
     """One run: where its k grew, and the means of its diagnostics over the last quarter."""
-    one = default_id("walker", method, seed)
+    one = default_id("walker", method, seed, "cpu")
     manifest = read_manifest(one)
     grew = {growth.new_k: growth.step / manifest.steps for growth in k_schedule(manifest.diagnostics).growth}
     return (
@@ -68,7 +68,7 @@ def scores_of(method: str, records: Path) -> list[list[float]]:
     """The score of each task, for each seed; seeds of which a task is missing are left out."""
     found = []
     for seed in SEEDS:
-        one = default_id("walker", method, seed)
+        one = default_id("walker", method, seed, "cpu")
         paths = [record_path(records, str(one.for_task(task)), "td3", seed, "cpu") for task in TASKS]
         if all(path.exists() for path in paths):
             scores = [read_record(path).score(MILESTONE) for path in paths]
@@ -124,7 +124,7 @@ def main(arguments: list[str]) -> None:
         with TABLE.open() as file:
             rows: list[dict[str, Any]] = list(csv.DictReader(file))
     else:
-        made = [(method, seed) for method in READINGS for seed in SEEDS if exists(default_id("walker", method, seed))]
+        made = [(method, seed) for method in READINGS for seed in SEEDS if exists(default_id("walker", method, seed, "cpu"))]
         rows = [row_of(*one) for one in made]
         with TABLE.open("w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))

@@ -66,12 +66,12 @@ def datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
 
 @pytest.fixture(scope="session")
 def collected_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A root with ``walker/cudc-v0`` at the smoke profile and its four relabelled sets; never to be changed."""
+    """A root with ``walker/cudc-smoke-v0`` at the smoke profile and its four relabelled sets; never to be changed."""
     root = tmp_path_factory.mktemp("collected") / "datasets"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(root))
-        assert cudc_bench.collect("cudc", profile="smoke") == ["walker/cudc-v0"]
-        assert cudc_bench.relabel("walker/cudc-v0") == [f"walker/{task}/cudc-v0" for task in TASKS]
+        assert cudc_bench.collect("cudc", profile="smoke") == ["walker/cudc-smoke-v0"]
+        assert cudc_bench.relabel("walker/cudc-smoke-v0") == [f"walker/{task}/cudc-smoke-v0" for task in TASKS]
     return root
 
 

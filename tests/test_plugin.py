@@ -57,11 +57,11 @@ def test_an_installed_method_collects_and_is_named_wherever_methods_are(place: P
     assert done.code == 0, done.err
 
     # The package is not installed where this runs: nobody needs it to use its data.
-    data = cudc_bench.load_transitions("walker/re3-v0", verify=True)
+    data = cudc_bench.load_transitions("walker/re3-smoke-v0", verify=True)
     assert data.observations.shape == (3000, 24)
     assert data.actions.shape == (3000, 6)
     assert not data.rewards.any()
-    manifest = read_manifest(parse_id("walker/re3-v0"))
+    manifest = read_manifest(parse_id("walker/re3-smoke-v0"))
     assert (manifest.method, manifest.citation, manifest.profile) == ("re3", "Seo et al. 2021", "smoke")
     assert manifest.versions["cudc-bench-re3"] == "0.1.0"
     assert manifest.hyperparameters["neighbours"] == 3
@@ -73,7 +73,7 @@ def test_an_installed_method_collects_and_is_named_wherever_methods_are(place: P
     assert listed.code == 0, listed.err
     (method,) = [line for line in listed.out.splitlines() if "Seo et al. 2021" in line]
     assert {"re3", "entropy"} <= set(method.replace("│", " ").split())
-    assert any("walker/re3-v0" in line and "smoke" in line for line in listed.out.splitlines())
+    assert any("walker/re3-smoke-v0" in line and "smoke" in line for line in listed.out.splitlines())
 
 
 def test_its_settings_are_checked_like_our_own(place: Path, cli: Callable, datasets: Path) -> None:
@@ -86,22 +86,22 @@ def test_its_settings_are_checked_like_our_own(place: Path, cli: Callable, datas
 def test_an_installed_algorithm_trains_on_the_data_of_any_method(place: Path, cli: Callable, smoke: Path, tmp_path: Path) -> None:
     done = cli("evaluate", "--algo", "awac", "--task", "walk", interpreter=interpreter(place))
     assert done.code == 0, done.err
-    record = read_record(tmp_path / "results/smoke/walker/walk/cudc-v0/awac-seed1.json")
+    record = read_record(tmp_path / "results/smoke/walker/walk/cudc-smoke-v0/awac-seed1.json")
     assert (record.algorithm, record.hyperparameters["temperature"]) == ("awac", 1.0)
 
 
 def test_an_installed_domain_is_collected_labelled_and_proven(place: Path, cli: Callable) -> None:
     for command in (
         ["collect", "--method", "random", "--domain", "half_cheetah", "--profile", "smoke"],
-        ["relabel", "half_cheetah/random-v0", "--task", "run"],
+        ["relabel", "half_cheetah/random-smoke-v0", "--task", "run"],
     ):
         done = cli(*command, interpreter=interpreter(place))
         assert done.code == 0, done.err
-    done = cli("verify", "half_cheetah/run/random-v0", interpreter=interpreter(place))
+    done = cli("verify", "half_cheetah/run/random-smoke-v0", interpreter=interpreter(place))
     assert done.code == 0, done.err
     assert "equal to run computed from the states" in done.out
     # Without the package nobody can simulate it, and says so.
-    done = cli("verify", "half_cheetah/run/random-v0")
+    done = cli("verify", "half_cheetah/run/random-smoke-v0")
     assert done.code == 1
     assert "unknown domain 'half_cheetah'" in done.err
     assert len(done.err.splitlines()) == 1

@@ -75,7 +75,8 @@ def import_exorl(
     if task is not None:
         check_tasks(facts, [task])
     (seed,) = check_seeds([seed])
-    usual = default_id(domain, method, seed) if task is None else default_id(domain, method, seed).for_task(task)
+    usual = default_id(domain, method, seed, IMPORTED_PROFILE)
+    usual = usual if task is None else usual.for_task(task)
     one = usual if dataset_id is None else parse_id(dataset_id)
     check_free(one, overwrite)
     check_folder(datasets_root(), "the dataset root")

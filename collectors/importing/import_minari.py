@@ -76,7 +76,8 @@ def import_minari(
     facts = _domain(dataset, described, domain)
     if task is not None:
         check_tasks(facts, [task])
-    usual = default_id(facts.name, method, seed) if task is None else default_id(facts.name, method, seed).for_task(task)
+    usual = default_id(facts.name, method, seed, IMPORTED_PROFILE)
+    usual = usual if task is None else usual.for_task(task)
     one = usual if dataset_id is None else parse_id(dataset_id)
     if str(one) == dataset:
         raise UsageError(f"'{dataset}' itself would be replaced; give --dataset-id or another --method.")

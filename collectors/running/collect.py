@@ -68,7 +68,8 @@ def collect(
     Args:
         method: a registered collector.
         domain: a registered domain.
-        seeds: one dataset each; seed 1 becomes ``walker/cudc-v0``, seed 2 ``walker/cudc-seed2-v0``.
+        seeds: one dataset each; seed 1 becomes ``walker/cudc-v0``, seed 2 ``walker/cudc-seed2-v0``; profiles
+            other than ``paper`` and ``cpu`` stand in the name, as in ``walker/cudc-smoke-v0``.
         profile: ``paper``, ``cpu``, ``demo``, ``smoke`` or ``auto``.
         settings: hyperparameters that differ from the profile, by name.
         dataset_id: instead of the default id; for one seed only.
@@ -95,7 +96,7 @@ def collect(
     seeds = check_seeds(seeds)
     if dataset_id is not None and len(seeds) > 1:
         raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
-    members = [(seed, default_id(domain, method, seed) if dataset_id is None else parse_id(dataset_id)) for seed in seeds]
+    members = [(seed, default_id(domain, method, seed, chosen.name) if dataset_id is None else parse_id(dataset_id)) for seed in seeds]
     left = [member for member in members if overwrite or not _is_made(setting, *member)]
     for member in members:
         check_free(member[1], overwrite or member not in left)
@@ -144,7 +145,7 @@ def plan_collect(
         pilot, setting = True, resolve(method, domain, chosen, settings, piloting=True)
     found = []
     for seed in check_seeds(seeds):
-        one = default_id(domain, method, seed)
+        one = default_id(domain, method, seed, chosen.name)
         done = not pilot and _is_made(setting, seed, one)
         if not pilot:
             try:
@@ -281,6 +282,6 @@ def _command(setting: RunSpec, execution: Execution, seed: int, dataset_id: Data
         "--seed": str(seed),
         "--profile": setting.profile,
     } | execution.options
-    if dataset_id != default_id(setting.domain, setting.method, seed):
+    if dataset_id != default_id(setting.domain, setting.method, seed, setting.profile):
         options["--dataset-id"] = str(dataset_id)
     return command_line("collect", options, setting.overrides)

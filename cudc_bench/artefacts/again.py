@@ -27,7 +27,7 @@ def collect_command(dataset: DatasetReference) -> str | None:
         return None
     options = {"--domain": dataset.domain, "--method": dataset.method, "--seed": str(dataset.seed), "--profile": dataset.profile}
     try:
-        usual = str(default_id(dataset.domain, dataset.method, dataset.seed))
+        usual = str(default_id(dataset.domain, dataset.method, dataset.seed, dataset.profile))
     except UsageError:
         usual = ""
     if usual != base:

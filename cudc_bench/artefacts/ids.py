@@ -1,6 +1,7 @@
 """Dataset ids: how they are spelled, checked, and mapped to folders.
 
-``walker/cudc-v0`` is seed 1, ``walker/cudc-seed2-v0`` the next; ``walker/walk/cudc-v0`` is the same data relabelled for a task.
+``walker/cudc-v0`` is seed 1, ``walker/cudc-seed2-v0`` the next, ``walker/cudc-smoke-v0`` the same at a profile for trying;
+``walker/walk/cudc-v0`` is the first relabelled for a task.
 Names are for people: code reads the manifest. The grammar is stricter than Minari's, since one malformed folder below the dataset
 root makes Minari unable to list any dataset at all.
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_path, environment
+from cudc_bench.settings.profiles import PROFILES
 
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
@@ -71,9 +73,14 @@ def domain_slug(domain: str) -> str:
     return domain.replace("/", ".")
 
 
-def default_id(domain: str, method: str, seed: int) -> DatasetId:
-    """The id under which ``collect`` stores a dataset unless told otherwise; seed 1 has the plain name."""
-    suffix = "" if seed == 1 else f"-seed{seed}"
+def default_id(domain: str, method: str, seed: int, profile: str) -> DatasetId:
+    """The id under which ``collect`` stores a dataset unless told otherwise.
+
+    Seed 1 has the plain name, as have the profiles ``paper`` and ``cpu``, which ``auto`` chooses from; others are named, as in
+    ``walker/cudc-smoke-seed2-v0``, so that a first try never stands in the way of real data.
+    """
+    known = PROFILES.get(profile)
+    suffix = (f"-{profile}" if known is not None and known.in_ids else "") + ("" if seed == 1 else f"-seed{seed}")
     try:
         return parse_id(f"{domain_namespace(domain)}/{method}{suffix}-v0")
     except UsageError:

@@ -26,6 +26,8 @@ class Profile:
         evaluate: the same for offline training.
         threads: CPU threads of each run; None shares the machine's cores among the runs. Small networks run best on one thread, and a
             fixed number makes a result independent of how many runs share the machine.
+        in_ids: whether the default ids of its datasets name it. Those of the two that ``auto`` takes do not: ``walker/cudc-v0`` is what
+            whoever names no profile gets and loads, on any machine.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Profile:
     collect: Mapping[str, Any] = field(default_factory=dict)
     evaluate: Mapping[str, Any] = field(default_factory=dict)
     threads: int | None = None
+    in_ids: bool = True
 
 
 PAPER_STEPS = 1_000_000  # environment steps of a dataset
@@ -59,7 +62,7 @@ def _scaled(value: Any, share: float) -> Any:
 PROFILES: dict[str, Profile] = {
     profile.name: profile
     for profile in (
-        Profile("paper", "the paper's setting: 1M steps, width 1024, 500K gradient steps; a GPU's work"),
+        Profile("paper", "the paper's setting: 1M steps, width 1024, 500K gradient steps; a GPU's work", in_ids=False),
         Profile(
             "cpu",
             "the same methods at a size where two cores collect a dataset in minutes",
@@ -69,6 +72,7 @@ PROFILES: dict[str, Profile] = {
                 "milestones": (10_000, 50_000), **_SMALL,
             },
             threads=1,
+            in_ids=False,
         ),
         Profile(
             "demo",

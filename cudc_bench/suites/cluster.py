@@ -312,7 +312,7 @@ def _made(job: Job, here: Common) -> list[str]:
     """The files that a job leaves for the driver, below the folder of the records."""
     found = []
     for seed, base in zip(job.seeds, job.datasets, strict=True):
-        one = default_id(job.domain, job.method, seed)
+        one = default_id(job.domain, job.method, seed, job.profile)
         if job.kind == "evaluate":
             records = [record_path(here.output, str(one.for_task(task)), str(job.algo), seed, here.profile, job.used) for task in job.tasks]
             found += [path for record in records for path in (record, record.with_suffix(".policy.pt"))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from cudc_bench.artefacts.ids import default_id
@@ -27,6 +28,7 @@ class Job:
         tasks: that it labels, or trains for.
         algo: the offline algorithm.
         used: the transitions to train on, None for all.
+        profile: of its suite.
     """
 
     kind: Kind
@@ -36,6 +38,7 @@ class Job:
     tasks: tuple[str, ...] = ()
     algo: str | None = None
     used: int | None = None
+    profile: str = "paper"
 
     @property
     def method(self) -> str:
@@ -46,7 +49,7 @@ class Job:
     @property
     def datasets(self) -> tuple[str, ...]:
         """The ids of the task-agnostic datasets that it makes or reads."""
-        return tuple(str(default_id(self.domain, method, seed)) for method in self.methods for seed in self.seeds)
+        return tuple(str(default_id(self.domain, method, seed, self.profile)) for method in self.methods for seed in self.seeds)
 
     @property
     def name(self) -> str:
@@ -101,7 +104,10 @@ class JobGraph:
         return found
 
 
-def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False) -> JobGraph:
+def expand(
+    suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False, *,
+    profile: str = "paper",
+) -> JobGraph:  # fmt: skip
     """The jobs of a suite, each once, whichever of its studies have it.
 
     Args:
@@ -109,9 +115,10 @@ def expand(suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[
         steps: of the datasets, by (domain, method).
         pilots: (domain, method) whose threshold must be measured first.
         stacked: whether one process trains all seeds, and all tasks, together, as is best on a GPU.
+        profile: of all jobs.
     """
     groups = [suite.seeds] if stacked else [(seed,) for seed in suite.seeds]
-    wanted = _Wanted()
+    wanted = _Wanted(profile)
     for study in suite.studies:
         for domain in study.domains:
             wanted.add(study, domain, steps)
@@ -133,7 +140,8 @@ class _Wanted:
         compared: the methods of each domain whose datasets are compared.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, profile: str) -> None:
+        self.job = partial(Job, profile=profile)
         self.tasks: dict[tuple[str, str], dict[str, None]] = {}
         self.runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
         self.compared: dict[str, dict[str, None]] = {}
@@ -159,13 +167,13 @@ class _Wanted:
         for (domain, method), tasks in self.tasks.items():
             before: tuple[Job, ...] = ()
             if (domain, method) in pilots:
-                pilot = Job("pilot", domain, (method,))
+                pilot = self.job("pilot", domain, (method,))
                 needs[pilot], before = (), (pilot,)
             for seeds in groups:
-                collect = Job("collect", domain, (method,), seeds)
+                collect = self.job("collect", domain, (method,), seeds)
                 needs[collect] = before
                 if tasks:
-                    needs[Job("relabel", domain, (method,), seeds, tuple(tasks))] = (collect,)
+                    needs[self.job("relabel", domain, (method,), seeds, tuple(tasks))] = (collect,)
         return needs
 
     def trainings(self, groups: Sequence[tuple[int, ...]], stacked: bool, relabels: Iterable[Job]) -> _Needs:
@@ -175,7 +183,7 @@ class _Wanted:
         for (domain, method, algo, used), tasks in self.runs.items():
             for seeds in groups:
                 for some in [tuple(tasks)] if stacked else [(task,) for task in tasks]:
-                    needs[Job("evaluate", domain, (method,), seeds, some, algo, used)] = (before[domain, method, seeds],)
+                    needs[self.job("evaluate", domain, (method,), seeds, some, algo, used)] = (before[domain, method, seeds],)
         return needs
 
     def comparisons(self, seeds: tuple[int, ...], collects: Sequence[Job]) -> _Needs:
@@ -183,5 +191,5 @@ class _Wanted:
         needs: _Needs = {}
         for domain, methods in self.compared.items():
             makers = tuple(job for job in collects if job.domain == domain and job.method in methods)
-            needs[Job("stats", domain, tuple(methods), seeds)] = makers
+            needs[self.job("stats", domain, tuple(methods), seeds)] = makers
         return needs

@@ -155,7 +155,7 @@ def _case(path: Path, record: Record, folder: Path, collect: bool, reward: str |
             f"{path}: its dataset '{data.id}' was imported from {data.source}, and no command can collect it; have it here"
             + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
         )
-    labelled = default_id(data.domain, data.method, data.seed).for_task(data.task)
+    labelled = default_id(data.domain, data.method, data.seed, data.profile).for_task(data.task)
     return _Case(path, record, True, str(labelled), folder / config_hash(_collection(record))[:12])
 
 

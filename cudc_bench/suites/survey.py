@@ -50,7 +50,7 @@ def survey(suite: Suite, common: Common) -> Survey:
     )
     steps = {pair: found[0].total for pair, found in looked.datasets.items()}
     pilots = [pair for pair, found in looked.datasets.items() if found[0].needs_pilot]
-    plan = expand(suite, steps, pilots, stacked=common.device == "cuda")
+    plan = expand(suite, steps, pilots, stacked=common.device == "cuda", profile=common.profile)
     states = {job: looked.state(job) for job in plan.needs}
     return Survey(plan, frozenset(job for job, (done, _) in states.items() if done), {job: total for job, (_, total) in states.items()})
 

@@ -81,7 +81,7 @@ def evaluate(
         dataset_sizes: train once for each of these numbers of transitions, on the first so many of each dataset.
         reward: an own reward function instead of tasks, as in :func:`relabel`.
         output: folder of the records.
-        overwrite: train again where a record exists.
+        overwrite: train again where a record exists, and label again what was labelled by another text of ``reward``, or from another base.
         device: ``cpu``, ``cuda`` or ``auto``.
         engine: how updates are carried out: ``eager``, ``compiled``, or ``auto``, which compiles long runs on a CPU that has a compiler.
         workers: processes on a CPU; 1 works in this process, None takes one for each core.
@@ -112,7 +112,7 @@ def evaluate(
     again = None if training_seeds is None else check_seeds(training_seeds)
     wanted = Wanted.checked(domain, tasks, methods, check_seeds(seeds), dataset_id, reward, profile)
 
-    manifests = {one: read_manifest(one) for one in wanted.ensure(execution.device, workers)}
+    manifests = {one: read_manifest(one) for one in wanted.ensure(execution.device, workers, overwrite)}
     for one, manifest in manifests.items():
         check_reward(manifest, one, wanted.reward)
     runs = [
@@ -258,7 +258,7 @@ def plan_evaluate(
     found = []
     for seed in check_seeds(seeds):
         for task in check_tasks(check_domain(domain), tasks):
-            one = default_id(domain, method, seed).for_task(task)
+            one = default_id(domain, method, seed, chosen.name).for_task(task)
             for training_seed in (seed,) if training_seeds is None else check_seeds(training_seeds):
                 path = record_path(results, str(one), algo, seed, chosen.name, used, training_seed)
                 if exists(one):

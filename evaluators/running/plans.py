@@ -8,7 +8,7 @@ from typing import Any
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import parse_id
-from cudc_bench.artefacts.manifest import Manifest, read_manifest
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
@@ -155,8 +155,8 @@ class Wanted:
             check_collected(method, domain, seeds, profile=profile)
         return cls(domains, tasks, methods, seeds, ids, custom, profile)
 
-    def ensure(self, device: str, workers: int | None) -> list[str]:
-        """Their ids, after those were made that were missing.
+    def ensure(self, device: str, workers: int | None, overwrite: bool) -> list[str]:
+        """Their ids, after those were made that were missing, and if ``overwrite`` those again whose base or function is another now.
 
         Raises:
             UsageError: one that was named is of another profile, or labelled for another task.
@@ -168,14 +168,22 @@ class Wanted:
                 for method in self.methods
                 for one in ensure_collected(method, self.domains[0], self.seeds, profile=self.profile, device=device, workers=workers)
             ]
-            return [one for base in bases for one in ensure_relabelled(base, self.tasks, self.reward)]
-        found: list[tuple[str, bool]] = []
+            return [one for base in bases for one in ensure_relabelled(base, self.tasks, self.reward, overwrite)]
+        found: list[tuple[str, Manifest]] = []
         # All are checked before the first is relabelled.
         for dataset_id in self.ids:
             manifest = read_manifest(parse_id(dataset_id))
             check_profile(manifest, dataset_id, self.profile)
             if manifest.task is not None and self.tasks is not None and manifest.task not in self.tasks:
                 raise UsageError(f"'{dataset_id}' is labelled for {manifest.task}, not for {', '.join(self.tasks)}; leave out --tasks.")
-            found.append((dataset_id, manifest.task is not None))
-        ids = [one for base, labelled in found for one in ([base] if labelled else ensure_relabelled(base, self.tasks, self.reward))]
+            found.append((dataset_id, manifest))
+        ids = [one for base, manifest in found for one in self._labelled(base, manifest, overwrite)]
         return list(dict.fromkeys(ids))
+
+    def _labelled(self, dataset_id: str, manifest: Manifest, overwrite: bool) -> list[str]:
+        if manifest.task is None:
+            return ensure_relabelled(dataset_id, self.tasks, self.reward, overwrite)
+        base, usual = manifest.base, self.reward is not None and manifest.task == self.reward.name
+        if overwrite and usual and base is not None and exists(base.id) and str(parse_id(base.id).for_task(manifest.task)) == dataset_id:
+            return ensure_relabelled(base.id, None, self.reward, overwrite)
+        return [dataset_id]

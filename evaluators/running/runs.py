@@ -205,7 +205,7 @@ def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, sec
     values = plan.values
     head, dirty = commit()
     options = {"--algo": plan.algo, "--profile": plan.profile} | execution.options
-    usual = default_id(manifest.domain, manifest.method, manifest.seed).for_task(str(manifest.task))
+    usual = default_id(manifest.domain, manifest.method, manifest.seed, manifest.profile).for_task(str(manifest.task))
     if dataset_id == str(usual) and not manifest.overrides and manifest.imported is None:
         # Written like this, the command also makes the datasets anew where they are missing.
         options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}

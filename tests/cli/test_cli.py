@@ -48,9 +48,9 @@ REFUSALS = {
     "collect --method random --set steps=1000000000000": "'steps' cannot be '1000000000000': input should be less than or equal to",
     "collect --method random --set steps": "--set takes name=value, not 'steps'.",
     "collect --seeds 2 --set k_max=2": "k_max",
-    "collect --set k_max=5": "'walker/cudc-v0' exists (cudc, profile smoke, seed 1, 3,000 steps); use --overwrite, --dataset-id or another",
+    "collect --set k_max=5": "-smoke-v0' exists (cudc, profile smoke, seed 1, 3,000 steps); use --overwrite, --dataset-id or another",
     # The other method could be collected, but a wrong input is refused before any work starts.
-    "collect --method random,cudc --set measure_every=3": "'walker/cudc-v0' exists",
+    "collect --method random,cudc --set measure_every=3": "'walker/cudc-smoke-v0' exists",
     "collect --method cudc,random --seed 2 --set k_max=5": "nothing here is called 'k_max'",
     "collect --method random --seeds 1-2 --dataset-id walker/mine-v0": "--dataset-id names one dataset, but there are 2 seeds",
     "collect --method random --dataset-id ../evil-v0": "'../evil-v0' is not a dataset id",
@@ -60,9 +60,9 @@ REFUSALS = {
     "collect walker": "unexpected extra argument",
     "collect --nonsense": "No such option: --nonsense",
     "colect": "No such command 'colect'",
-    "relabel --standalone": "'walker/stand/cudc-v0' exists",
+    "relabel --standalone": "'walker/stand/cudc-smoke-v0' exists",
     "relabel walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
-    "relabel walker/walk/cudc-v0": "'walker/walk/cudc-v0' is already relabelled for walk",
+    "relabel walker/walk/cudc-smoke-v0": "'walker/walk/cudc-smoke-v0' is already relabelled for walk",
     "relabel --task wlak --seed 2": "unknown walker task 'wlak'; allowed: flip, run, stand, walk. Did you mean 'walk'?",
     "relabel --method cudk": "unknown method 'cudk'",
     "relabel --domain wlaker": "unknown domain 'wlaker'",
@@ -72,9 +72,9 @@ REFUSALS = {
     "evaluate --task ,": "no task was given",
     "evaluate --domain wlaker": "unknown domain 'wlaker'",
     "evaluate --method random,cudk": "unknown method 'cudk'",
-    "evaluate --profile cpu": "'walker/cudc-v0' exists at another profile",
-    "evaluate --profile cpu --method random,cudc": "'walker/cudc-v0' exists at another profile",
-    "evaluate --profile cpu --dataset-id walker/walk/cudc-v0": "'walker/walk/cudc-v0' exists at another profile",
+    "evaluate --profile cpu": "'walker/cudc-smoke-v0' exists at another profile",
+    "evaluate --profile cpu --method random,cudc": "'walker/cudc-smoke-v0' exists at another profile",
+    "evaluate --profile cpu --dataset-id walker/walk/cudc-smoke-v0": "'walker/walk/cudc-smoke-v0' exists at another profile",
     "evaluate --set gradient_steps=-1": "'gradient_steps' cannot be '-1'",
     "evaluate --set evaluate_every=7": "the milestone 20 is never evaluated",
     "evaluate --output /dev/null/below": "the output '/dev/null/below' cannot be a folder: '/dev/null' is a file.",
@@ -85,18 +85,18 @@ REFUSALS = {
     "reference --checkpoint-every -1": "--checkpoint-every",
     "evaluate --method random --workers 0": "--workers takes 1 or more, not 0.",
     "leaderboard nowhere": "there are no results at 'nowhere'",
-    "diagnostics walker/walk/cudc-v0": "is labelled for walk; the diagnostics are those of its base 'walker/cudc-v0'.",
-    "diagnostics walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
+    "diagnostics walker/walk/cudc-smoke-v0": "is labelled for walk; the diagnostics are those of its base 'walker/cudc-smoke-v0'.",
+    "diagnostics walker/cudc-smoke-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
     "diagnostics ../evil-v0": "'../evil-v0' is not a dataset id",
     "diagnostics --domain wlaker": "no dataset has the domain 'wlaker'; there are: walker. Did you mean 'walker'?",
     "diagnostics --method cudc,random": "no dataset has the method 'random'; there are: cudc.",
     "diagnostics --method ,": "--method is empty",
     "diagnostics --output /dev/null/below": "output '/dev/null/below' cannot be a folder: '/dev/null' is a file.",
     "verify": "no dataset was named; name some",
-    "verify walker/cudc-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
+    "verify walker/cudc-smoke-v0 walker/nothing-v0": "there is no dataset 'walker/nothing-v0'",
     "verify ../evil-v0": "'../evil-v0' is not a dataset id",
-    "verify walker/cudc-v0 --sample 0": "--sample takes 1 or more transitions, not 0; --all takes all.",
-    "verify walker/cudc-v0 --all --sample 5": "--all and --sample contradict each other; give one of them.",
+    "verify walker/cudc-smoke-v0 --sample 0": "--sample takes 1 or more transitions, not 0; --all takes all.",
+    "verify walker/cudc-smoke-v0 --all --sample 5": "--all and --sample contradict each other; give one of them.",
 }  # fmt: skip
 
 
@@ -215,14 +215,14 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     cli: Callable, here: Callable, datasets: Path, tmp_path: Path, collected_once: Path
 ) -> None:
     collected = cli("collect", "--method", "cudc", anew=True)
-    assert (collected.code, collected.out) == (0, "walker/cudc-v0\n"), collected.err
+    assert (collected.code, collected.out) == (0, "walker/cudc-smoke-v0\n"), collected.err
     assert "profile smoke" in collected.err
-    assert "next: cudc-bench relabel walker/cudc-v0" in collected.err
+    assert "next: cudc-bench relabel walker/cudc-smoke-v0" in collected.err
 
-    relabelled = cli("relabel", "walker/cudc-v0")
-    assert (relabelled.code, relabelled.out.split()) == (0, [f"walker/{task}/cudc-v0" for task in TASKS]), relabelled.err
+    relabelled = cli("relabel", "walker/cudc-smoke-v0")
+    assert (relabelled.code, relabelled.out.split()) == (0, [f"walker/{task}/cudc-smoke-v0" for task in TASKS]), relabelled.err
     (following,) = [line for line in relabelled.err.splitlines() if line.startswith("next: ")]
-    assert following == "next: cudc-bench evaluate --algo td3 --dataset-id walker/cudc-v0"
+    assert following == "next: cudc-bench evaluate --algo td3 --dataset-id walker/cudc-smoke-v0"
 
     evaluated = cli(*shlex.split(following)[2:], brief=True)
     assert evaluated.code == 0, evaluated.err
@@ -232,12 +232,12 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     assert len(set(paths)) == 4
 
     # Another process, the same seed: the same bytes as the session's own dataset.
-    for one in ("walker/cudc-v0", *(f"walker/{task}/cudc-v0" for task in TASKS)):
+    for one in ("walker/cudc-smoke-v0", *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)):
         assert read_manifest(one).fingerprint == read_manifest(one, collected_once).fingerprint
         assert minari.load_dataset(one).total_steps == 3000
     for task, path in zip(TASKS, paths, strict=True):
         record = read_record(path)
-        assert (record.dataset.task, record.dataset.id, record.profile) == (task, f"walker/{task}/cudc-v0", "smoke")
+        assert (record.dataset.task, record.dataset.id, record.profile) == (task, f"walker/{task}/cudc-smoke-v0", "smoke")
         assert record.dataset.fingerprint == read_manifest(record.dataset.id).fingerprint
         assert [evaluation.step for evaluation in record.curve] == [0, 20, 40]
         assert len(record.final.returns) == 2
@@ -259,26 +259,38 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     assert tree(tmp_path) == before
 
 
+def test_what_was_tried_is_not_in_the_way_of_what_follows(cli: Callable, here: Callable, datasets: Path) -> None:
+    """A method at ``smoke``, then without a profile: both are there, and whoever names none has the plain name."""
+    tried = cli("collect", "--method", "random", "--profile", "smoke")
+    assert tried.out == "walker/random-smoke-v0\n"
+    real = cli("collect", "--method", "random", "--set", "steps=1000", env={"CUDC_BENCH_PROFILE": "auto"})
+    assert (real.code, real.out) == (0, "walker/random-v0\n"), real.err
+    assert [read_manifest(f"walker/{name}-v0").profile for name in ("random", "random-smoke")] == ["cpu", "smoke"]
+    assert minari.load_dataset("walker/random-v0").total_steps == 1000
+    # Each profile's own is what its other commands find.
+    assert here(["relabel", "--method", "random", "--task", "walk"]).out == "walker/walk/random-smoke-v0\n"
+
+
 @pytest.mark.parametrize("profile", ["smoke", "cpu"])
 def test_what_comes_next_works_whatever_the_usual_profile_is(
     profile: str, cli: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CUDC_BENCH_PROFILE", profile)
-    words = shlex.split(evaluate_on(["walker/cudc-v0"], ["walk"]))
+    words = shlex.split(evaluate_on(["walker/cudc-smoke-v0"], ["walk"]))
     assert ("--profile" in words) == (profile != "smoke")
     done = cli(*words[1:], env={"CUDC_BENCH_PROFILE": profile}, brief=True)
-    assert (done.code, done.out) == (0, "results/smoke/walker/walk/cudc-v0/td3-seed1.json\n"), done.err
+    assert (done.code, done.out) == (0, "results/smoke/walker/walk/cudc-smoke-v0/td3-seed1.json\n"), done.err
 
 
 def test_missing_steps_are_done_and_said(cli: Callable, here: Callable, datasets: Path, tmp_path: Path) -> None:
     done = cli("evaluate", "--method", "random", "--seed", "2", "--task", "walk", "--output", "elsewhere")
     assert done.code == 0, done.err
-    assert "walker/random-seed2-v0 missing: collecting first" in done.err
-    assert "walker/walk/random-seed2-v0 missing: relabelling first" in done.err
+    assert "walker/random-smoke-seed2-v0 missing: collecting first" in done.err
+    assert "walker/walk/random-smoke-seed2-v0 missing: relabelling first" in done.err
     (path,) = done.out.splitlines()
     record = read_record(tmp_path / path)
     assert (record.seed, record.dataset.seed, record.dataset.method, record.dataset.task) == (2, 2, "random", "walk")
-    assert set(minari.list_local_datasets()) == {"walker/random-seed2-v0", "walker/walk/random-seed2-v0"}
+    assert set(minari.list_local_datasets()) == {"walker/random-smoke-seed2-v0", "walker/walk/random-smoke-seed2-v0"}
     assert [file.name for file in tmp_path.iterdir()] == ["elsewhere"]
 
     # The record says how to make it again, and doing so gives the same numbers.
@@ -290,7 +302,7 @@ def test_missing_steps_are_done_and_said(cli: Callable, here: Callable, datasets
 
 def test_several_seeds_in_processes_of_their_own(cli: Callable, datasets: Path) -> None:
     done = cli("collect", "--method", "random", "--seeds", "1-2", "--workers", "2", "--set", "steps=1200")
-    assert (done.code, done.out) == (0, "walker/random-v0\nwalker/random-seed2-v0\n"), done.err
+    assert (done.code, done.out) == (0, "walker/random-smoke-v0\nwalker/random-smoke-seed2-v0\n"), done.err
     together = [read_manifest(one) for one in done.out.split()]
     assert [manifest.seed for manifest in together] == [1, 2]
     assert together[0].overrides == {"steps": 1200}
@@ -300,15 +312,16 @@ def test_several_seeds_in_processes_of_their_own(cli: Callable, datasets: Path) 
 
 def test_a_failure_in_a_run_is_one_line_with_exit_code_1(here: Callable, smoke: Path, tmp_path: Path) -> None:
     (smoke / "walker" / "cudc-v0").rename(tmp_path / "moved")
-    done = here(["evaluate", "--dataset-id", "walker/walk/cudc-v0"])
+    done = here(["evaluate", "--dataset-id", "walker/walk/cudc-smoke-v0"])
     assert done.code == 1
-    assert done.err.splitlines()[-1].startswith("cudc-bench: error: 'walker/walk/cudc-v0' links to 'walker/cudc-v0', which is missing;")
+    said = "cudc-bench: error: 'walker/walk/cudc-smoke-v0' links to 'walker/cudc-smoke-v0', which is missing;"
+    assert done.err.splitlines()[-1].startswith(said)
     assert "Traceback" not in done.err
 
 
 def test_who_asks_sees_where_an_error_came_from(here: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (smoke / "walker" / "cudc-v0" / "data" / "main_data.hdf5").write_bytes(b"nothing")
-    command = ["evaluate", "--dataset-id", "walker/walk/cudc-v0"]
+    command = ["evaluate", "--dataset-id", "walker/walk/cudc-smoke-v0"]
     monkeypatch.setenv(DEBUG, "0")
     plain = here(command)
     assert plain.code == 1
@@ -364,7 +377,7 @@ def test_list_shows_what_can_be_used_and_what_exists(cli: Callable, smoke: Path)
     assert (done.code, done.err) == (0, "")
     for name in [*plugins.names("collectors"), *plugins.names("evaluators"), "paper", "cpu", "demo", "smoke", "auto is "]:
         assert name in done.out
-    for one in ("walker/cudc-v0", *(f"walker/{task}/cudc-v0" for task in TASKS)):
+    for one in ("walker/cudc-smoke-v0", *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)):
         (line,) = [line for line in done.out.splitlines() if f" {one} " in line]
         assert "3,000" in line
     assert "building" not in done.out
@@ -375,19 +388,19 @@ def test_list_and_cards_tell_of_a_suspect_schedule(here: Callable, smoke: Path, 
     monkeypatch.setenv("COLUMNS", "200")
     # Nothing to note, no column.
     assert "notes" not in here(["list"]).out
-    path = metadata_path("walker/cudc-v0")
+    path = metadata_path("walker/cudc-smoke-v0")
     metadata = json.loads(path.read_text())
     increments = [{"step": 1200 + 400 * k, "old_k": k, "new_k": k + 1, "p": 0.6, "mean_w": 0.1} for k in (3, 4)]
     metadata[KEY]["diagnostics"] |= {"k_increments": increments, "k_schedule_suspect": True}
     path.write_text(json.dumps(metadata))
     # A dataset relabelled from it says so, too; one from before does not.
-    cudc_bench.relabel("walker/cudc-v0", tasks=["walk"], overwrite=True)
+    cudc_bench.relabel("walker/cudc-smoke-v0", tasks=["walk"], overwrite=True)
     listed = here(["list"]).out
     noted = {
         one: "k schedule suspect" in line for one in ("cudc", "walk/cudc", "run/cudc") for line in lines_with(listed, f"walker/{one}-v0")
     }
     assert noted == {"cudc": True, "walk/cudc": True, "run/cudc": False}
-    card = (smoke / "walker/walk/cudc-v0/README.md").read_text()
+    card = (smoke / "walker/walk/cudc-smoke-v0/README.md").read_text()
     assert "k grew before 150 environment steps, or reached its bound within 300 steps" in card  # of 3,000
     assert "3→4 at 2,400, 4→5 at 2,800" in card
 

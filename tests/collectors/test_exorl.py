@@ -34,12 +34,13 @@ from cudc_bench.data.reader import load_episodes, verify_fingerprint
 from cudc_bench.data.writer import Episode, EpisodeShards
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.stages import check_collected
 
 from ..waiting import PATIENCE, wait_for
 
 Arrays = dict[str, np.ndarray]
 WALKER = DOMAINS["walker"]
-BASE = "walker/cudc-v0"
+BASE = "walker/cudc-smoke-v0"
 
 
 def random_arrays(steps: int, seed: int = 0) -> Arrays:
@@ -87,7 +88,7 @@ def everything(root: Path) -> list[str]:
 
 @pytest.fixture
 def files(smoke: Path, tmp_path: Path) -> Path:
-    """The episodes of ``walker/cudc-v0`` as ExORL would have stored them."""
+    """The episodes of ``walker/cudc-smoke-v0`` as ExORL would have stored them."""
     return write(tmp_path / "files", exported(BASE), "20220101T000000_{}_{}.npz".format)
 
 
@@ -214,9 +215,9 @@ def test_the_first_steps_in_collection_order(steps: int | None, lengths: list[in
 def test_with_a_task_the_rewards_of_the_files_are_kept(files: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for path in files.iterdir():
         path.unlink()
-    write(files, exported("walker/run/cudc-v0"))
+    write(files, exported("walker/run/cudc-smoke-v0"))
     assert cudc_bench.import_exorl(files, "proto", task="run") == "walker/run/proto-v0"
-    manifest, original = read_manifest("walker/run/proto-v0"), read_manifest("walker/run/cudc-v0")
+    manifest, original = read_manifest("walker/run/proto-v0"), read_manifest("walker/run/cudc-smoke-v0")
     assert (manifest.task, manifest.fingerprint, manifest.base) == ("run", original.fingerprint, None)
     with pytest.raises(UsageError, match=r"'walker/run/proto-v0' came with the rewards of run and has no base to relabel; import it"):
         cudc_bench.relabel("walker/run/proto-v0")
@@ -270,12 +271,21 @@ def test_missing_episodes_are_counted(tmp_path: Path, capfd: pytest.CaptureFixtu
 
 
 def test_an_existing_dataset_is_replaced_only_when_told_to(files: Path) -> None:
-    with pytest.raises(UsageError, match=r"'walker/cudc-v0' exists \(cudc, profile smoke, seed 1, 3,000 steps\); use --overwrite"):
-        cudc_bench.import_exorl(files, "cudc")
-    cudc_bench.import_exorl(files, "cudc", overwrite=True)
-    with pytest.raises(UsageError, match=r"'walker/cudc-v0' exists \(cudc imported from ExORL, seed 1, 3,000 steps\); use --overwrite"):
+    there = "walker/cudc-smoke-v0"
+    with pytest.raises(UsageError, match=rf"'{there}' exists \(cudc, profile smoke, seed 1, 3,000 steps\); use --overwrite"):
+        cudc_bench.import_exorl(files, "cudc", dataset_id=there)
+    cudc_bench.import_exorl(files, "cudc", dataset_id=there, overwrite=True)
+    with pytest.raises(UsageError, match=rf"'{there}' exists \(cudc imported from ExORL, seed 1, 3,000 steps\); use --overwrite"):
         cudc_bench.collect("cudc", profile="smoke")
     assert cudc_bench.import_exorl(files, "proto", dataset_id="walker/other-v3") == "walker/other-v3"
+
+
+def test_an_imported_dataset_is_found_by_its_method_at_every_profile(files: Path) -> None:
+    cudc_bench.import_exorl(files, "proto")
+    ids = {str(one) for profile in ("smoke", "demo", "cpu", "paper") for one in check_collected("proto", "walker", [1], profile=profile)}
+    assert ids == {"walker/proto-v0"}
+    # One that was collected at the profile comes first.
+    assert [str(one) for one in check_collected("cudc", "walker", [1], profile="smoke")] == ["walker/cudc-smoke-v0"]
 
 
 # ------------------------------------------------------------------------------------------------------------------------ refusals

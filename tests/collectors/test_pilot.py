@@ -220,7 +220,7 @@ def test_the_command(cli, tmp_path, datasets):
     assert f"cudc-no-reach on jaco: c_e = {found['cudc-no-reach'].value:.6g}" in done.err
     done = cli("collect", "--method", "cudc-no-reach", "--domain", "jaco", env=own)
     assert done.code == 0, done.err
-    assert read_manifest("jaco/cudc-no-reach-v0").pilot == found["cudc-no-reach"]
+    assert read_manifest("jaco/cudc-no-reach-smoke-v0").pilot == found["cudc-no-reach"]
 
 
 @pytest.mark.parametrize(

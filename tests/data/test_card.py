@@ -20,7 +20,9 @@ from cudc_bench.data.layout import MAIN_FILE
 from cudc_bench.data.measure import measure_coverage, reward_statistics
 from cudc_bench.data.reader import load_episodes
 
-BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
+from ..conftest import TASKS
+
+BASE, WALK = "walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"
 
 
 def card(root: Path, dataset_id: str) -> str:
@@ -55,9 +57,9 @@ def test_every_dataset_has_a_card(smoke: Path) -> None:
         assert "Sun, Qian, Miao 2024" in text
         assert cells(text)["batch_size"] == ["32"]
         assert not re.search(r"<<|>>|<%|%>|None|nan", text)
-    assert "    cudc-bench relabel walker/cudc-v0\n" in card(smoke, BASE)
+    assert "    cudc-bench relabel walker/cudc-smoke-v0\n" in card(smoke, BASE)
     assert "must lie below the same dataset root" in card(smoke, WALK)
-    assert sorted(minari.list_local_datasets()) == sorted([BASE, *(f"walker/{task}/cudc-v0" for task in ("stand", "walk", "run", "flip"))])
+    assert sorted(minari.list_local_datasets()) == sorted([BASE, *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)])
 
 
 def test_what_it_says_about_rewards_is_minaris(smoke: Path) -> None:

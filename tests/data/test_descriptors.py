@@ -105,11 +105,11 @@ def test_random_collection_says_how_far_it_is_at_even_steps(name: str, datasets:
 
 
 def test_a_learning_method_tells_of_itself_in_the_same_lines(smoke: Path) -> None:
-    found = lines(smoke, "walker/cudc-v0")
+    found = lines(smoke, "walker/cudc-smoke-v0")
     assert [(line["step"], line["updates"]) for line in found] == [(step, max(0, step - 1000) // 50) for step in range(500, 3001, 500)]
     assert [("critic_loss" in line) for line in found] == [False, False, True, True, True, True]
     last = {number: found[-1][number] for number in NUMBERS}
-    for one in ("walker/cudc-v0", "walker/walk/cudc-v0"):
+    for one in ("walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"):
         assert cudc_bench.coverage(one).as_row() == last
         assert found[-1].items() <= read_manifest(one).diagnostics.items()
         assert "visited cells of behaviour descriptors" in cells(card(smoke, one))

@@ -258,7 +258,7 @@ def test_what_is_not_there_is_refused_before_anything_is_imported(
     with pytest.raises(UsageError, match="there is no dataset"):
         getattr(cudc_bench, name)("walker/walk/nothing-v0")
     with pytest.raises(UsageError, match="is not a dataset id"):
-        getattr(cudc_bench, name)("../cudc-v0")
+        getattr(cudc_bench, name)("../cudc-smoke-v0")
     with pytest.raises(UsageError, match="there is no dataset"):
         getattr(cudc_bench, name)(ID, root=str(tmp_path))
 
@@ -273,7 +273,7 @@ def example(script: str, library: str) -> Any:
 
 @pytest.mark.parametrize("script", [example("d3rlpy_td3bc", "d3rlpy"), example("torchrl_offline", "torchrl")])
 def test_the_example_trains_and_plays(script: str, smoke: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    command = [sys.executable, ROOT / "examples" / f"{script}.py", "walker/walk/cudc-v0", "--steps", "20", "--episodes", "1"]
+    command = [sys.executable, ROOT / "examples" / f"{script}.py", "walker/walk/cudc-smoke-v0", "--steps", "20", "--episodes", "1"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     (result,) = re.findall(r"^mean return of 1 episodes in cudc_bench/walker-walk-v0: (\S+)$", done.stdout, re.MULTILINE)
@@ -284,7 +284,7 @@ def test_the_example_trains_and_plays(script: str, smoke: Path, environment: dic
 def test_the_documents_exports_run(make_dataset: Callable, make_episodes: Callable) -> None:
     pytest.importorskip("d3rlpy")
     pytest.importorskip("torchrl")
-    make_dataset("walker/walk/cudc-v0", make_episodes(LENGTHS), task="walk")
+    make_dataset("walker/walk/cudc-smoke-v0", make_episodes(LENGTHS), task="walk")
     (code,) = [
         code
         for code in re.findall(r"```python\n(.*?)```", (ROOT / "docs/tutorials/read-data.md").read_text(), re.DOTALL)

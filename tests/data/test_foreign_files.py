@@ -21,7 +21,7 @@ from cudc_bench.cli.app import main
 from cudc_bench.data.reader import iterate_episodes, load_episodes, read_episodes
 from cudc_bench.errors import CudcBenchError, RunError
 
-BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
+BASE, WALK = "walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")
 Change = Callable[[h5py.Group, Path], None]
 quick = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -152,16 +152,16 @@ def test_no_array_comes_from_anywhere_else(change: str, smoke: Path, secret: Pat
             # What links to something bad is no better than it.
             assert not standalone
             with pytest.raises(RunError):
-                load_episodes("walker/run/cudc-v0", FIELDS)
+                load_episodes("walker/run/cudc-smoke-v0", FIELDS)
 
 
 LINKS = {
     "absolute": lambda secret, index: (str(secret), f"/episode_{index}/actions"),
     "out of the root": lambda secret, index: ("../../../../" + secret.name, f"/episode_{index}/actions"),
     "missing": lambda secret, index: ("../../../cudc-v9/data/main_data.hdf5", f"/episode_{index}/actions"),
-    "another dataset": lambda secret, index: ("../../../stand/cudc-v0/data/main_data.hdf5", f"/episode_{index}/rewards"),
-    "another episode": lambda secret, index: ("../../../cudc-v0/data/main_data.hdf5", "/episode_0/actions"),
-    "another field": lambda secret, index: ("../../../cudc-v0/data/main_data.hdf5", f"/episode_{index}/observations"),
+    "another dataset": lambda secret, index: ("../../../stand/cudc-smoke-v0/data/main_data.hdf5", f"/episode_{index}/rewards"),
+    "another episode": lambda secret, index: ("../../../cudc-smoke-v0/data/main_data.hdf5", "/episode_0/actions"),
+    "another field": lambda secret, index: ("../../../cudc-smoke-v0/data/main_data.hdf5", f"/episode_{index}/observations"),
     "itself": lambda secret, index: (".", f"/episode_{index}/actions"),
     "a device": lambda secret, index: ("/dev/zero", f"/episode_{index}/actions"),
     "a pipe": lambda secret, index: (str(secret.with_name("pipe")), f"/episode_{index}/actions"),
@@ -192,7 +192,7 @@ def test_a_base_cannot_be_linked_itself(smoke: Path) -> None:
         load_episodes(WALK, ("actions",))
 
 
-@pytest.mark.parametrize("base", ["../evil-v0", "/etc/passwd", "walker/cudc-v0/../../x-v0", "", "walker/\0-v0", "walker/nothing-v0"])
+@pytest.mark.parametrize("base", ["../evil-v0", "/etc/passwd", "walker/cudc-smoke-v0/../../x-v0", "", "walker/\0-v0", "walker/nothing-v0"])
 def test_the_name_of_a_base_is_checked_before_it_becomes_a_path(base: str, smoke: Path) -> None:
     path = metadata_path(WALK)
     content = json.loads(path.read_text())
@@ -311,7 +311,7 @@ def test_files_that_are_no_metadata_are_one_line(
     # All others are still there.
     assert len(stored_ids()) == 5
     assert run(["list"]) == 0
-    assert "walker/run/cudc-v0" in capfd.readouterr().out
+    assert "walker/run/cudc-smoke-v0" in capfd.readouterr().out
     assert list(tmp_path.iterdir()) == []
 
 

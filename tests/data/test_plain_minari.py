@@ -8,8 +8,8 @@ from pathlib import Path
 
 from cudc_bench.artefacts.manifest import read_manifest
 
-TASKS = {f"walker/{task}/cudc-v0": f"cudc_bench/walker-{task}-v0" for task in ("stand", "walk", "run", "flip")}
-IDS = {"walker/cudc-v0": "cudc_bench/walker-v0"} | TASKS
+TASKS = {f"walker/{task}/cudc-smoke-v0": f"cudc_bench/walker-{task}-v0" for task in ("stand", "walk", "run", "flip")}
+IDS = {"walker/cudc-smoke-v0": "cudc_bench/walker-v0"} | TASKS
 SCRIPT = """
 import hashlib, json, sys
 import minari

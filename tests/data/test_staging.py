@@ -158,11 +158,11 @@ def test_of_two_processes_on_one_id_one_runs_and_the_other_says_so(datasets: Pat
         second = subprocess.run(COLLECT, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
         first.send_signal(signal.SIGCONT)
         out, err = first.communicate(timeout=PATIENCE)
-    assert (first.returncode, out) == (0, "walker/random-v0\n"), err
+    assert (first.returncode, out) == (0, "walker/random-smoke-v0\n"), err
     assert (second.returncode, second.stdout) == (1, "")
     assert [line for line in second.stderr.splitlines() if "error" in line] == [
-        f"cudc-bench: error: process {first.pid} is writing 'walker/random-v0'; wait for it to end."
+        f"cudc-bench: error: process {first.pid} is writing 'walker/random-smoke-v0'; wait for it to end."
     ]
     assert "Traceback" not in second.stderr
-    assert verify_fingerprint("walker/random-v0")
+    assert verify_fingerprint("walker/random-smoke-v0")
     assert everything(datasets / "walker") == ["namespace_metadata.json", *files("random-v0")]

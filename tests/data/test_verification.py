@@ -24,7 +24,7 @@ from cudc_bench.data.verification import draw_seed
 from cudc_bench.envs import DOMAINS, make_simulators
 from cudc_bench.errors import RunError, UsageError
 
-BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
+BASE, WALK = "walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")
 
 
@@ -83,7 +83,7 @@ def outcome(dataset_id: str, sample: int, seed: int) -> str:
 def test_what_the_project_makes_passes(smoke: Path) -> None:
     cudc_bench.relabel(BASE, ["run"], standalone=True, overwrite=True)
     before = {path: path.read_bytes() for path in smoke.rglob("*") if path.is_file()}
-    for one in (BASE, *(f"walker/{task}/cudc-v0" for task in DOMAINS["walker"].tasks)):
+    for one in (BASE, *(f"walker/{task}/cudc-smoke-v0" for task in DOMAINS["walker"].tasks)):
         found = cudc_bench.verify(one, sample=None)
         details = {check.name: check.detail for check in found.checks}
         assert found.fingerprint == read_manifest(one).fingerprint
@@ -274,7 +274,7 @@ def test_another_mujoco_is_reported_and_nothing_is_called_damaged(smoke: Path, t
         (BASE, {"overrides": {"width": 3}}, "its overrides say width=3, and its hyperparameters do not"),
         (BASE, {"command": "curl https://example.org | sh"}, "its command is none of cudc-bench's: curl "),
         (BASE, {"command": "cudc-bench collect --method=icm"}, "its command says --method icm, and it has cudc"),
-        (BASE, {"command": "cudc-bench relabel walker/cudc-v0"}, "its command is 'relabel', which makes no such dataset"),
+        (BASE, {"command": "cudc-bench relabel walker/cudc-smoke-v0"}, "its command is 'relabel', which makes no such dataset"),
         (WALK, {"command": "cudc-bench relabel walker/other-v0 --task walk"}, "its command says --dataset-ids walker/other-v0, and it has"),
         (WALK, {"final_state": "0" * 64}, f"it has other final_state than its base '{BASE}'"),
         (WALK, {"diagnostics": {"coverage_cells": 204_800}}, f"it has other diagnostics than its base '{BASE}'"),
@@ -518,11 +518,11 @@ def test_links_must_lead_into_the_base(smoke: Path) -> None:
     cudc_bench.relabel(BASE, ["run"], standalone=True, overwrite=True)
     with h5py.File(data_file(smoke, WALK), "r+") as file:
         del file["episode_1/actions"]
-        file["episode_1/actions"] = h5py.ExternalLink("../../../run/cudc-v0/data/main_data.hdf5", "/episode_1/actions")
-    assert failure(WALK).startswith("'base' in episode 1: actions links to '../../../run/cudc-v0/data/main_data.hdf5', which is not ")
+        file["episode_1/actions"] = h5py.ExternalLink("../../../run/cudc-smoke-v0/data/main_data.hdf5", "/episode_1/actions")
+    assert failure(WALK).startswith("'base' in episode 1: actions links to '../../../run/cudc-smoke-v0/data/main_data.hdf5', which is not ")
     with h5py.File(data_file(smoke, WALK), "r+") as file:
         del file["episode_1/actions"]
-        file["episode_1/actions"] = h5py.ExternalLink("../../../cudc-v0/data/main_data.hdf5", "/episode_2/actions")
+        file["episode_1/actions"] = h5py.ExternalLink("../../../cudc-smoke-v0/data/main_data.hdf5", "/episode_2/actions")
     assert failure(WALK).startswith(f"'base' in episode 1: actions is no link to episode 1 of '{BASE}'")
 
 
@@ -636,7 +636,7 @@ def test_the_command_prints_a_table_or_one_line(smoke: Path, capfd: pytest.Captu
 
 
 def test_all_alone_takes_every_dataset_and_names_each_that_fails(smoke: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for one in (WALK, "walker/run/cudc-v0"):
+    for one in (WALK, "walker/run/cudc-smoke-v0"):
         with h5py.File(data_file(smoke, one), "r+") as file:
             file["episode_0/rewards"][10] = 0.5
     (smoke / "other-v0/data").mkdir(parents=True)
@@ -645,7 +645,7 @@ def test_all_alone_takes_every_dataset_and_names_each_that_fails(smoke: Path, ca
     assert code == 1
     assert out.count("passes all checks") == 3
     assert f"'{WALK}' fails the check 'fingerprint'" in err
-    assert "'walker/run/cudc-v0' fails the check 'fingerprint'" in err
+    assert "'walker/run/cudc-smoke-v0' fails the check 'fingerprint'" in err
     assert err.splitlines()[-1] == "cudc-bench: error: 2 of 5 datasets fail; what is wrong with each stands above."
     code, _, err = run(["verify"], capfd)
     assert (code, err.count("\n")) == (2, 1)

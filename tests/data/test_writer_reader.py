@@ -19,6 +19,8 @@ from cudc_bench.data.reader import load_episodes
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes
 from cudc_bench.errors import BrokenDownError, UsageError
 
+from ..conftest import TASKS
+
 ID = "walker/made-v0"
 LENGTHS = (4, 1, 1000, 17, 2, 250)
 
@@ -117,7 +119,7 @@ def test_any_lengths_read_back(make_dataset: Callable, make_episodes: Callable, 
 
 
 def test_a_task_agnostic_dataset_holds_zero_rewards_and_its_card_says_so(smoke: Path) -> None:
-    dataset = minari.load_dataset("walker/cudc-v0")
+    dataset = minari.load_dataset("walker/cudc-smoke-v0")
     assert all(episode.rewards.tolist() == [0.0] * 1000 for episode in dataset.iterate_episodes())
     assert "rewards are all 0" in dataset.storage.metadata["description"]
     assert dataset.storage.metadata["algorithm_name"] == "cudc"
@@ -126,7 +128,7 @@ def test_a_task_agnostic_dataset_holds_zero_rewards_and_its_card_says_so(smoke: 
 
 def test_a_collected_dataset_satisfies_minari(smoke: Path) -> None:
     """The rules that keep every consumer happy."""
-    for one in ("walker/cudc-v0", "walker/flip/cudc-v0"):
+    for one in ("walker/cudc-smoke-v0", "walker/flip/cudc-smoke-v0"):
         dataset = minari.load_dataset(one)
         assert dataset.spec.dataset_id == one
         assert (dataset.total_episodes, dataset.total_steps) == (3, 3000)
@@ -140,7 +142,7 @@ def test_a_collected_dataset_satisfies_minari(smoke: Path) -> None:
             assert all(action in dataset.action_space for action in episode.actions)
             assert not episode.terminations.any()
             assert np.flatnonzero(episode.truncations).tolist() == [999]
-    assert set(minari.list_local_datasets()) == {"walker/cudc-v0", *(f"walker/{task}/cudc-v0" for task in ("stand", "walk", "run", "flip"))}
+    assert set(minari.list_local_datasets()) == {"walker/cudc-smoke-v0", *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)}
 
 
 def test_states_belong_to_their_observations(smoke: Path) -> None:
@@ -150,7 +152,7 @@ def test_states_belong_to_their_observations(smoke: Path) -> None:
     from cudc_bench.envs.walker import Walker
 
     walker, found = Walker(), np.empty(24, np.float32)
-    flat = load_episodes("walker/cudc-v0", ("observations", "infos/physics"))
+    flat = load_episodes("walker/cudc-smoke-v0", ("observations", "infos/physics"))
     for observations, states in zip(flat.split("observations"), flat.split("infos/physics"), strict=True):
         for t in (0, 1, 500, 999, 1000):
             mujoco.mj_setState(walker.model, walker.data, states[t], int(mujoco.mjtState.mjSTATE_PHYSICS))
@@ -192,19 +194,19 @@ def test_the_same_episodes_give_the_same_bytes(tmp_path: Path, make_episodes: Ca
 
 
 def test_two_runs_with_one_seed_have_one_fingerprint_and_other_seeds_another(smoke: Path) -> None:
-    expected = read_manifest("walker/cudc-v0").fingerprint
+    expected = read_manifest("walker/cudc-smoke-v0").fingerprint
     cudc_bench.collect("cudc", seeds=[1], profile="smoke", dataset_id="walker/again-v0")
     cudc_bench.collect("cudc", seeds=[2], profile="smoke")
     assert read_manifest("walker/again-v0").fingerprint == expected
-    assert read_manifest("walker/cudc-seed2-v0").fingerprint != expected
+    assert read_manifest("walker/cudc-smoke-seed2-v0").fingerprint != expected
 
 
 def test_a_shorter_last_episode_is_kept(datasets: Path) -> None:
     cudc_bench.collect("random", profile="smoke", settings={"steps": 1250})
-    dataset = minari.load_dataset("walker/random-v0")
+    dataset = minari.load_dataset("walker/random-smoke-v0")
     assert [len(episode.actions) for episode in dataset.iterate_episodes()] == [1000, 250]
     assert dataset[1].truncations[-1]
-    assert len(cudc_bench.load_transitions("walker/random-v0", verify=True)) == 1250
+    assert len(cudc_bench.load_transitions("walker/random-smoke-v0", verify=True)) == 1250
 
 
 def test_datasets_of_others_are_refused_not_misread(smoke: Path) -> None:
@@ -216,11 +218,11 @@ def test_datasets_of_others_are_refused_not_misread(smoke: Path) -> None:
     with pytest.raises(UsageError, match="there is no dataset"):
         cudc_bench.load_transitions("walker/nothing-v0")
     with pytest.raises(UsageError, match="is not a dataset id"):
-        cudc_bench.load_transitions("../cudc-v0")
+        cudc_bench.load_transitions("../cudc-smoke-v0")
 
 
 def test_another_root_can_be_named(smoke: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "empty"))
-    assert len(cudc_bench.load_transitions("walker/walk/cudc-v0", root=str(smoke), verify=True)) == 3000
+    assert len(cudc_bench.load_transitions("walker/walk/cudc-smoke-v0", root=str(smoke), verify=True)) == 3000
     with pytest.raises(UsageError):
-        cudc_bench.load_transitions("walker/walk/cudc-v0")
+        cudc_bench.load_transitions("walker/walk/cudc-smoke-v0")

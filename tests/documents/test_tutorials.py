@@ -49,12 +49,18 @@ RUN = {
 }
 
 
+def at_smoke(text: str) -> str:
+    """What a page says, with the profile that takes seconds, and ids of datasets that were collected at it."""
+    text = re.sub(r"\b(cudc|random)(?:-demo|-smoke)?-v0", r"\1-smoke-v0", text)
+    return re.sub(r"(results/)(?:demo|cpu)\b", r"\1smoke", "smoke" if text == "demo" else text)
+
+
 @pytest.fixture
 def run(environment: dict[str, str], tmp_path: Path) -> Callable[..., str]:
     """Runs a program's text as a file in ``tmp_path``, and returns what it printed."""
 
     def done(code: str) -> str:
-        (tmp_path / "program.py").write_text(code)
+        (tmp_path / "program.py").write_text(at_smoke(code))
         command = [sys.executable, "program.py"]
         found = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
         assert found.returncode == 0, found.stderr
@@ -87,7 +93,7 @@ def follow(here: Callable[..., str]) -> Callable[[str], list[str]]:
 
     def done(page: str) -> list[str]:
         ours = [words[1:] for _, words in commands(page) if words[0] == "cudc-bench"]
-        return [here(*["smoke" if word == "demo" else word for word in words]) for words in ours]
+        return [here(*map(at_smoke, words)) for words in ours]
 
     return done
 
@@ -112,8 +118,8 @@ def test_a_first_number(follow: Callable[[str], list[str]], run: Callable[..., s
     assert "random" in printed[-1]
     assert (tmp_path / "report" / "index.html").exists()
     assert run(block(FIRST, "total_steps")).splitlines() == ["3000 3", "(1001, 24) (1000, 6)"]
-    record = json.loads((tmp_path / "results/smoke/walker/walk/cudc-v0/td3-seed1.json").read_text())
-    shown = float(run(block(FIRST, "read_record").replace("results/demo", "results/smoke")))
+    record = json.loads((tmp_path / "results/smoke/walker/walk/cudc-smoke-v0/td3-seed1.json").read_text())
+    shown = float(run(block(FIRST, "read_record")))
     returns = [value for one in [*record["late"], record["final"]] for value in one["returns"]]
     assert shown == pytest.approx(sum(returns) / len(returns))
 
@@ -125,13 +131,13 @@ def test_a_first_number_from_python(run: Callable[..., str]) -> None:
 def test_own_rewards(follow: Callable[[str], list[str]], here: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "my_rewards.py").write_text(block(REWARD, "def hop") + block(REWARD, "def careful"))
     follow(REWARD)
-    assert (tmp_path / "results/smoke/walker/hop/cudc-v0/td3-seed1.json").exists()
-    here("relabel", "walker/cudc-v0", "--reward", "my_rewards:careful")
+    assert (tmp_path / "results/smoke/walker/hop/cudc-smoke-v0/td3-seed1.json").exists()
+    here("relabel", "walker/cudc-smoke-v0", "--reward", "my_rewards:careful")
 
 
 def test_another_domain(follow: Callable[[str], list[str]], run: Callable[..., str]) -> None:
     follow(DOMAIN)
-    assert "dm_control/cheetah_run/run/random-v0" in run(block(DOMAIN, "__main__"))
+    assert "dm_control/cheetah_run/run/random-smoke-v0" in run(block(DOMAIN, "__main__"))
 
 
 def test_minari_reads(run: Callable[..., str], smoke: Path) -> None:
@@ -153,8 +159,8 @@ def test_jax_trains(run: Callable[..., str], smoke: Path) -> None:
 
 def test_policies_leave(here: Callable[..., str], run: Callable[..., str], smoke: Path, tmp_path: Path) -> None:
     here("evaluate", "--algo", "td3", "--task", "walk")
-    folder = tmp_path / "results/smoke/walker/walk/cudc-v0"
-    code = block(POLICIES, "render_policy").replace("results/cpu", "results/smoke")
+    folder = tmp_path / "results/smoke/walker/walk/cudc-smoke-v0"
+    code = block(POLICIES, "render_policy")
     if probe() is None:
         code = re.sub(r".*render_policy.*\n", "", code)
     given = "import numpy as np\n\nobservation = np.zeros((2, 24), np.float32)\n"
@@ -177,9 +183,9 @@ def test_what_looks_at_results_looks(
 def test_what_is_published_stands_by_itself(here: Callable[..., str], smoke: Path) -> None:
     ours = [words[1:] for _, words in commands("docs/how-to/publish.md") if words[0] == "cudc-bench"]
     for words in ours[:2]:
-        here(*words)
-    shutil.rmtree(smoke / "walker" / "cudc-v0")
-    assert cudc_bench.load_transitions("walker/walk/cudc-v0", verify=True).rewards.shape == (3000,)
+        here(*map(at_smoke, words))
+    shutil.rmtree(smoke / "walker" / "cudc-smoke-v0")
+    assert cudc_bench.load_transitions("walker/walk/cudc-smoke-v0", verify=True).rewards.shape == (3000,)
 
 
 def test_a_suite_of_ones_own_is_planned(here: Callable[..., str], tmp_path: Path) -> None:

@@ -248,8 +248,8 @@ def test_names_become_dataset_ids_slugs_and_environments_without_clashes() -> No
         assert one == parse_id(str(one))
         assert one.for_task("run").namespace == f"{domain_namespace(name)}/run"
         assert "/" not in domain_slug(name)
-    assert str(default_id("dm_control/humanoid_CMU-run", "cudc", 1)) == "dm_control/humanoid_cmu_run/cudc-v0"
-    assert str(default_id("walker", "cudc", 1)) == "walker/cudc-v0"
+    assert str(default_id("dm_control/humanoid_CMU-run", "cudc", 1)) == "dm_control/humanoid_cmu_run/cudc-smoke-v0"
+    assert str(default_id("walker", "cudc", 1)) == "walker/cudc-smoke-v0"
     assert domain_slug("walker") == "walker"
 
 

@@ -39,7 +39,7 @@ def write_run(folder, name="td3", domain="walker", task="walk", seed=1, returns=
     values = as_dict(loop, agent.config)
     record = Record(
         dataset=DatasetReference(
-            id=f"{domain}/{task}/cudc-v0", fingerprint="0" * 64, domain=domain, task=task, method="cudc", seed=seed, steps=1000,
+            id=f"{domain}/{task}/cudc-smoke-v0", fingerprint="0" * 64, domain=domain, task=task, method="cudc", seed=seed, steps=1000,
             profile="smoke", reward=None if reward is None else RewardFunction(reference=reward.reference, sha256=reward.sha256),
         ),
         algorithm=name, profile="smoke", seed=seed, hyperparameters=values, hyperparameters_hash=config_hash(values),

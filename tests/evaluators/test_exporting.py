@@ -79,7 +79,7 @@ def test_the_specification_inside_says_what_it_is(tmp_path):
     assert (environment["domain"], environment["task"], environment["control_timestep"]) == ("walker", "walk", 0.025)
     assert environment["gymnasium_id"] == "cudc_bench/walker-walk-v0"
     assert (training["algorithm"], training["seed"], training["gradient_steps"]) == ("td3", 3, 40)
-    assert (training["dataset"]["id"], training["dataset"]["fingerprint"]) == ("walker/walk/cudc-v0", "0" * 64)
+    assert (training["dataset"]["id"], training["dataset"]["fingerprint"]) == ("walker/walk/cudc-smoke-v0", "0" * 64)
     assert (spec["result"]["return"], spec["result"]["episodes"]) == (15.0, 2)
     assert spec["record"] == {"file": "td3-seed3.json", "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     assert training["versions"]["torch"] == spec["exported_with"]["torch"]

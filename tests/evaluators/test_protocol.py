@@ -29,7 +29,7 @@ from cudc_bench.settings.seeding import episode_seed
 from ..served import briefly
 from .helpers import make, random_walker_data
 
-WALK = "walker/walk/cudc-v0"
+WALK = "walker/walk/cudc-smoke-v0"
 
 
 def results(tmp_path: Path) -> Path:
@@ -79,7 +79,7 @@ def test_sizes_have_records_and_tables_of_their_own(smoke, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"dataset_sizes": [500, 3001]}, "'walker/walk/cudc-v0' has 3,000 transitions, not 3,001"),
+        ({"dataset_sizes": [500, 3001]}, "'walker/walk/cudc-smoke-v0' has 3,000 transitions, not 3,001"),
         ({"dataset_sizes": [0]}, "a dataset size is a number of transitions, 1 or more"),
         ({"dataset_sizes": []}, "a dataset size is"),
         ({"dataset_id": []}, "no dataset was named"),
@@ -88,7 +88,7 @@ def test_sizes_have_records_and_tables_of_their_own(smoke, tmp_path):
         ({"algo": ["bc", "td3"], "settings": {"beta": 1.0}}, "nothing here is called 'beta'"),
         ({"steps": 0}, "'milestones' cannot be"),
         ({"steps": 10, "settings": {"gradient_steps": "5"}}, "--steps and --set gradient_steps say the same"),
-        ({"dataset_id": ["walker/walk/cudc-v0"], "tasks": ["run"]}, "is labelled for walk, not for run"),
+        ({"dataset_id": ["walker/walk/cudc-smoke-v0"], "tasks": ["run"]}, "is labelled for walk, not for run"),
     ],
 )
 def test_wrong_input_is_refused_and_nothing_is_trained(smoke, tmp_path, options, said):
@@ -101,7 +101,7 @@ def test_wrong_input_is_refused_and_nothing_is_trained(smoke, tmp_path, options,
 
 
 def test_several_algorithms_and_datasets_in_one_call(smoke, tmp_path):
-    found = evaluated(tmp_path, algo=["bc", "iql"], dataset_id=["walker/run/cudc-v0", "walker/cudc-v0"], tasks=["run", "stand"])
+    found = evaluated(tmp_path, algo=["bc", "iql"], dataset_id=["walker/run/cudc-smoke-v0", "walker/cudc-smoke-v0"], tasks=["run", "stand"])
     assert [(record.algorithm, record.dataset.task) for _, record in found] == [
         ("bc", "run"), ("bc", "stand"), ("iql", "run"), ("iql", "stand"),
     ]  # fmt: skip
@@ -202,7 +202,7 @@ def test_other_data_and_settings_are_never_continued(smoke, tmp_path, monkeypatc
     with pytest.raises(UsageError, match=line):
         evaluated(tmp_path, settings={"learning_rate": "0.002"})
     # Other records are none of its business.
-    evaluated(tmp_path, dataset_id="walker/run/cudc-v0")
+    evaluated(tmp_path, dataset_id="walker/run/cudc-smoke-v0")
     assert folder.exists()
     ((_, record),) = evaluated(tmp_path, settings={"learning_rate": "0.002"}, fresh=True)
     assert record.hyperparameters["learning_rate"] == 0.002
@@ -376,8 +376,8 @@ def test_no_policy_is_kept_when_none_is_wanted(smoke, tmp_path):
 
 def test_the_command_line_takes_all_of_it(cli, smoke, tmp_path):
     done = cli(
-        "evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-v0", "--dataset-size", "1_000,2000", "--steps", "20",
-        "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1", brief=True,
+        "evaluate", "--algo", "bc,td3-bc", "--dataset-id", f"{WALK},walker/run/cudc-smoke-v0", "--dataset-size", "1_000,2000", "--steps",
+        "20", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--no-policy", "--workers", "1", brief=True,
     )  # fmt: skip
     assert done.code == 0, done.err
     paths = done.out.split()

@@ -45,7 +45,7 @@ def test_an_episode_alone_is_what_it_was_among_others(domain, task, tmp_path):
 
 
 def test_the_whole_chain_gives_a_record_whose_episodes_come_again(smoke, tmp_path):
-    (path,) = cudc_bench.evaluate(dataset_id="walker/walk/cudc-v0", profile="smoke", output=tmp_path / "results")
+    (path,) = cudc_bench.evaluate(dataset_id="walker/walk/cudc-smoke-v0", profile="smoke", output=tmp_path / "results")
     policy = cudc_bench.load_policy(path)
     final = policy.record.final.returns
     played = play(nothing, policy=policy, seeds=recorded_seeds(policy.record, len(final)), recorded=final)

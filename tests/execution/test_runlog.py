@@ -62,9 +62,9 @@ def test_tensorboard_reads_back_the_lines_of_each_worker(datasets: Path, tmp_pat
 def test_a_run_that_is_made_again_takes_the_place_of_the_earlier_one(datasets: Path, tmp_path: Path) -> None:
     for steps in (1_200, 700):
         cudc_bench.collect("random", profile="smoke", settings={"steps": steps}, overwrite=True, log="tensorboard", log_dir=tmp_path)
-    found = scalars(tmp_path / "collect/smoke/walker/random-v0")
+    found = scalars(tmp_path / "collect/smoke/walker/random-smoke-v0")
     assert list(found) == [500, 700]
-    check_rows(without_speed(found), diagnostics(datasets, "walker/random-v0"))
+    check_rows(without_speed(found), diagnostics(datasets, "walker/random-smoke-v0"))
 
 
 def test_training_is_logged_as_it_is_recorded(smoke: Path, tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_training_is_logged_as_it_is_recorded(smoke: Path, tmp_path: Path) -> No
         expected[one.step] |= one.values
     for one in record.finals:
         expected[one.step]["final_return_mean"] = one.mean
-    check_rows(scalars(tmp_path / "runs/evaluate/smoke/walker/walk/cudc-v0/td3-seed1"), expected)
+    check_rows(scalars(tmp_path / "runs/evaluate/smoke/walker/walk/cudc-smoke-v0/td3-seed1"), expected)
 
 
 def test_a_run_that_goes_on_logs_all_that_was_before(smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,13 +96,13 @@ def test_a_run_that_goes_on_logs_all_that_was_before(smoke: Path, tmp_path: Path
             with pytest.raises(interrupts.Interrupted):
                 run()
     collect()
-    found = scalars(tmp_path / "collect/smoke/walker/icm-v0")
+    found = scalars(tmp_path / "collect/smoke/walker/icm-smoke-v0")
     assert [step for step, row in found.items() if "steps_per_second" in row] == [800, 900, 1000, 1100, 1200]
     for row in found.values():
         row.pop("steps_per_second", None)
-    check_rows(found, diagnostics(smoke, "walker/icm-v0"))
+    check_rows(found, diagnostics(smoke, "walker/icm-smoke-v0"))
     record = read_record(*evaluate())
-    found = scalars(tmp_path / "evaluate/smoke/walker/walk/cudc-v0/td3-seed1")
+    found = scalars(tmp_path / "evaluate/smoke/walker/walk/cudc-smoke-v0/td3-seed1")
     assert {step: row["return_mean"] for step, row in found.items()} == pytest.approx({one.step: one.mean for one in record.curve})
     for one in record.metrics:
         assert {name: found[one.step][name] for name in one.values} == pytest.approx(one.values)

@@ -43,9 +43,9 @@ COMMANDS = {
         "pilot", "--method", "cudc-vary-icm", "--set", "steps=5500", "--set", "seed_steps=900", "--set", "update_every=30",
         "--checkpoint-every", "0",
     ],
-    "relabel": ["relabel", "walker/cudc-v0"],
+    "relabel": ["relabel", "walker/cudc-smoke-v0"],
     "evaluate": [
-        "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-v0", "--set", "gradient_steps=16", "--set", "evaluate_every=8",
+        "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-smoke-v0", "--set", "gradient_steps=16", "--set", "evaluate_every=8",
         "--set", "milestones=[8,16]", "--checkpoint-every", "0",
     ],
     "reference": [

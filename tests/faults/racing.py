@@ -28,12 +28,12 @@ from cudc_bench.execution import locks
 
 from .smalldisk import Ended, forked
 
-BASE = "walker/random-v0"
+BASE = "walker/random-smoke-v0"
 COMMANDS = {
     "collect": ["collect", "--method", "random", "--set", "steps=600"],
     "relabel": ["relabel", BASE, "--task", "walk"],
     "evaluate": [
-        "evaluate", "--algo", "bc", "--dataset-id", "walker/run/random-v0", "--set", "gradient_steps=2", "--set", "evaluate_every=2",
+        "evaluate", "--algo", "bc", "--dataset-id", "walker/run/random-smoke-v0", "--set", "gradient_steps=2", "--set", "evaluate_every=2",
         "--set", "milestones=[2]", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--output", "results",
     ],
 }  # fmt: skip
@@ -78,7 +78,7 @@ def race(what: str, folder: Path, meet: bool) -> str:
         assert not (results / ".checkpoints").exists()
         shutil.rmtree(results)
     else:
-        made = BASE if what == "collect" else "walker/walk/random-v0"
+        made = BASE if what == "collect" else "walker/walk/random-smoke-v0"
         verify_fingerprint(made)
         place = (datasets / made).parent
         assert [path.name for path in place.iterdir() if path.name.startswith(".")] == []
@@ -120,6 +120,7 @@ if __name__ == "__main__":
         # Whatever the commands need of it, and import.
         cudc_bench.relabel(*cudc_bench.collect("random", profile="smoke", settings={"steps": 2000}), ["run"])
         short = {"evaluate_every": 2, "evaluation_episodes": 1, "final_episodes": 1}
-        cudc_bench.evaluate("bc", dataset_id="walker/run/random-v0", profile="smoke", steps=2, settings=short, output=base / "results")
+        there = "walker/run/random-smoke-v0"
+        cudc_bench.evaluate("bc", dataset_id=there, profile="smoke", steps=2, settings=short, output=base / "results")
         for command, number in zip(words[::2], words[1::2], strict=True):
             print(json.dumps(run(command, int(number), base)), flush=True)

@@ -159,7 +159,7 @@ def serve(folder: Path) -> None:
         cudc_bench.relabel(*cudc_bench.collect("icm", profile="smoke", settings={"steps": 1010, "seed_steps": 1000}), ["walk"])
         settings = {"evaluate_every": 1, "evaluation_episodes": 1, "final_episodes": 1}
         short: dict[str, Any] = {"profile": "smoke", "steps": 1, "settings": settings, "output": f"{name}/results"}
-        (record,) = cudc_bench.evaluate("td3", dataset_id="walker/walk/icm-v0", **short)
+        (record,) = cudc_bench.evaluate("td3", dataset_id="walker/walk/icm-smoke-v0", **short)
         cudc_bench.export_policy(record)
         cudc_bench.make_leaderboard(f"{name}/results", f"{name}/report")
     disk = folder / "disk"

@@ -97,18 +97,18 @@ def test_a_collection_goes_on_from_what_is_whole_and_ends_the_same(
 ) -> None:
     shutil.copytree(interrupted_once, datasets)
     damage, place = DAMAGE[what]
-    damage(datasets / "walker/.icm-v0.building")
+    damage(datasets / "walker/.icm-smoke-v0.building")
     went = []
     real = loop._Run.step
     monkeypatch.setattr(loop._Run, "step", lambda run: (went.append(run.steps), real(run))[1])
     done = main(*LONGER)
-    assert (done.code, done.out) == (0, "walker/icm-v0\n"), done.err
+    assert (done.code, done.out) == (0, "walker/icm-smoke-v0\n"), done.err
     assert went[0] == place
     assert ("the run starts over" in done.err) == (place == 0)
-    first, second = (read_manifest("walker/icm-v0", root) for root in (undisturbed, datasets))
-    assert verify_fingerprint("walker/icm-v0") == first.fingerprint
+    first, second = (read_manifest("walker/icm-smoke-v0", root) for root in (undisturbed, datasets))
+    assert verify_fingerprint("walker/icm-smoke-v0") == first.fingerprint
     assert second.final_state == first.final_state
-    inside = "walker/icm-v0/diagnostics.jsonl"
+    inside = "walker/icm-smoke-v0/diagnostics.jsonl"
     assert (datasets / inside).read_bytes() == (undisturbed / inside).read_bytes()
 
 
@@ -117,7 +117,7 @@ def test_a_run_that_started_over_keeps_its_own_checkpoints(
 ) -> None:
     """Damaged ones of later steps are not what is kept in their stead."""
     shutil.copytree(interrupted_once, datasets)
-    checkpoints = datasets / "walker/.icm-v0.building/checkpoints"
+    checkpoints = datasets / "walker/.icm-smoke-v0.building/checkpoints"
     for path in checkpoints.glob("*.pt"):
         flip(path)
     at(1200, interrupts.request_stop, monkeypatch)
@@ -128,8 +128,8 @@ def test_a_run_that_started_over_keeps_its_own_checkpoints(
 def test_an_evaluation_goes_on_from_the_checkpoint_that_is_whole(
     main: Callable, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--checkpoint-every", "0")
-    name = "smoke/walker/walk/cudc-v0/td3-seed1.json"
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--checkpoint-every", "0")
+    name = "smoke/walker/walk/cudc-smoke-v0/td3-seed1.json"
     assert main(*evaluate, "--output", "undisturbed").code == 0
     from cudc_bench.evaluators.running import evaluate as api
 
@@ -149,7 +149,7 @@ def test_an_evaluation_goes_on_from_the_checkpoint_that_is_whole(
 
 
 @pytest.mark.parametrize("what", ["cut", "flipped", "missing"])
-@pytest.mark.parametrize("which", ["walker/cudc-v0", "walker/walk/cudc-v0"])
+@pytest.mark.parametrize("which", ["walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"])
 def test_a_damaged_dataset_is_one_line_wherever_it_is_read(what: str, which: str, main: Callable, smoke: Path) -> None:
     """Neither a reward nor an agent is made of what is not what was collected; nor anything from the same data as it were whole."""
     path = smoke / which / HDF5
@@ -162,21 +162,21 @@ def test_a_damaged_dataset_is_one_line_wherever_it_is_read(what: str, which: str
         import h5py
 
         with h5py.File(path, "r") as file:
-            array = file["episode_1/infos/physics" if which == "walker/cudc-v0" else "episode_1/rewards"]
+            array = file["episode_1/infos/physics" if which == "walker/cudc-smoke-v0" else "episode_1/rewards"]
             place = array.id.get_offset() + array.id.get_storage_size() // 2
             size = path.stat().st_size
         flip(path, (place + 0.5) / size)
     output = ("--output", "results")
-    if which == "walker/cudc-v0":
+    if which == "walker/cudc-smoke-v0":
         refused(main("relabel", which, "--task", "walk", "--overwrite"), 1, f"'{which}'", "changed after" if what == "flipped" else HDF5)
-        assert read_manifest("walker/walk/cudc-v0").task == "walk"
-    if which != "walker/cudc-v0" or what != "flipped":  # an agent never sees the physics
-        done = main(*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", *output)
-        refused(done, 1, "walker/walk/cudc-v0'", "rewards changed" if what == "flipped" else HDF5)
+        assert read_manifest("walker/walk/cudc-smoke-v0").task == "walk"
+    if which != "walker/cudc-smoke-v0" or what != "flipped":  # an agent never sees the physics
+        done = main(*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", *output)
+        refused(done, 1, "walker/walk/cudc-smoke-v0'", "rewards changed" if what == "flipped" else HDF5)
         assert not list(Path("results").rglob("*.json"))
     refused(main("verify", which), 1, f"'{which}' fails the check")
     assert main("list").code == 0
-    assert "walker/walk/cudc-v0" in minari.list_local_datasets()
+    assert "walker/walk/cudc-smoke-v0" in minari.list_local_datasets()
 
 
 def replaced(name: str, change: Callable[[Any], Any]) -> Callable[[Any], None]:
@@ -213,20 +213,20 @@ BASES = {
 def test_a_damaged_base_is_not_relabelled(what: str, standalone: tuple[str, ...], main: Callable, smoke: Path) -> None:
     """Whatever of it is damaged, what rewards are not made of included; also with hashes that fit the damage."""
     damage, forged, says = BASES[what]
-    path = smoke / "walker/cudc-v0" / HDF5
+    path = smoke / "walker/cudc-smoke-v0" / HDF5
     with h5py.File(path, "r+") as file:
         damage(file["episode_1"])
         hasher = FieldHasher()
         for index in range(3):
-            for name in read_manifest("walker/cudc-v0").fields:
+            for name in read_manifest("walker/cudc-smoke-v0").fields:
                 hasher.update(name, file[f"episode_{index}/{name}"][()])
     if forged:
-        metadata = metadata_path("walker/cudc-v0")
+        metadata = metadata_path("walker/cudc-smoke-v0")
         content = json.loads(metadata.read_text())
         content["cudc_bench"] |= {"fields": hasher.digests(), "fingerprint": fingerprint(hasher.digests())}
         metadata.write_text(json.dumps(content))
     before = sorted((smoke / "walker").rglob("*"))
-    refused(main("relabel", "walker/cudc-v0", "--task", "run", "--overwrite", *standalone), 1, says)
+    refused(main("relabel", "walker/cudc-smoke-v0", "--task", "run", "--overwrite", *standalone), 1, says)
     assert sorted((smoke / "walker").rglob("*")) == before
 
 
@@ -264,21 +264,21 @@ def test_a_strangers_dataset_is_passed_over_or_named_in_one_line(what: str, main
 
 def test_damaged_metadata_of_an_own_dataset_can_be_written_anew(main: Callable, datasets: Path) -> None:
     assert main(*COLLECT).code == 0
-    first = read_manifest("walker/random-v0")
-    cut(metadata_path("walker/random-v0"))
-    refused(main(*COLLECT), 2, "'walker/random-v0' exists (not a dataset of cudc-bench); use --overwrite")
-    refused(main("verify", "walker/random-v0"), 1, "the metadata of 'walker/random-v0' cannot be read")
+    first = read_manifest("walker/random-smoke-v0")
+    cut(metadata_path("walker/random-smoke-v0"))
+    refused(main(*COLLECT), 2, "'walker/random-smoke-v0' exists (not a dataset of cudc-bench); use --overwrite")
+    refused(main("verify", "walker/random-smoke-v0"), 1, "the metadata of 'walker/random-smoke-v0' cannot be read")
     assert main(*COLLECT, "--overwrite").code == 0
-    assert verify_fingerprint("walker/random-v0") == first.fingerprint
+    assert verify_fingerprint("walker/random-smoke-v0") == first.fingerprint
 
 
 @pytest.mark.parametrize("change", ["deleted", "replaced"])
 def test_a_base_that_is_gone_or_another_is_one_line(change: str, main: Callable, smoke: Path) -> None:
-    one = "walker/walk/cudc-v0"
-    shutil.rmtree(smoke / "walker/cudc-v0")
+    one = "walker/walk/cudc-smoke-v0"
+    shutil.rmtree(smoke / "walker/cudc-smoke-v0")
     if change == "replaced":
-        assert main(*COLLECT, "--dataset-id", "walker/cudc-v0").code == 0
-    what = "links to 'walker/cudc-v0', which is missing" if change == "deleted" else "was made from another 'walker/cudc-v0'"
+        assert main(*COLLECT, "--dataset-id", "walker/cudc-smoke-v0").code == 0
+    what = "links to 'walker/cudc-smoke-v0', which is missing" if change == "deleted" else "was made from another 'walker/cudc-smoke-v0'"
     with pytest.raises(RunError, match=what):
         load_transitions(one)
     refused(main(*EVALUATE, "--dataset-id", one, "--output", "results"), 1, what)
@@ -286,14 +286,14 @@ def test_a_base_that_is_gone_or_another_is_one_line(change: str, main: Callable,
     assert one in minari.list_local_datasets()
     if change == "replaced":
         refused(main(*EVALUATE, "--task", "walk", "--output", "results"), 1, what)
-        assert main("relabel", "walker/cudc-v0", "--task", "walk", "--overwrite").code == 0
+        assert main("relabel", "walker/cudc-smoke-v0", "--task", "walk", "--overwrite").code == 0
         assert main("verify", one).code == 0
 
 
 def test_damaged_records_policies_and_thresholds_are_one_line(main: Callable, smoke: Path, tmp_path: Path) -> None:
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results")
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--output", "results")
     assert main(*evaluate).code == 0
-    record = tmp_path / "results/smoke/walker/walk/cudc-v0/td3-seed1.json"
+    record = tmp_path / "results/smoke/walker/walk/cudc-smoke-v0/td3-seed1.json"
     policy, whole = record.with_name("td3-seed1.policy.pt"), record.read_bytes()
     flip(policy)
     refused(main("export", record), 1, "the policy", "is damaged")

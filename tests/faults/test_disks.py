@@ -48,15 +48,15 @@ def test_a_full_disk_stops_a_collection_which_then_ends_as_if_there_had_been_roo
     """Shards, checkpoint, HDF5 file, metadata: wherever it strikes."""
     assert disk.run(*COLLECT, "--dataset-id", "walker/undisturbed-v0").code == 0
     root = disk.seen / "datasets"
-    building = root / "walker/.random-v0.building"
+    building = root / "walker/.random-smoke-v0.building"
     lock, shards, checkpoint = fills_up(disk, (0, 50_000, 400_000), *COLLECT)
-    assert "cannot write 'walker/random-v0':" in lock
-    assert "cannot write 'walker/random-v0' below" in shards
+    assert "cannot write 'walker/random-smoke-v0':" in lock
+    assert "cannot write 'walker/random-smoke-v0' below" in shards
     assert "cannot write a checkpoint into" in checkpoint
     # What stands in the dataset's place stops it when all is collected.
     building.mkdir()
     (building / "dataset").write_text("")
-    refused(disk.run(*COLLECT), 1, "cannot write 'walker/random-v0'")
+    refused(disk.run(*COLLECT), 1, "cannot write 'walker/random-smoke-v0'")
     (building / "dataset").unlink()
     assert sorted(path.name for path in building.iterdir()) == ["checkpoints", "diagnostics.jsonl", "shards"]
     kept = (building / "diagnostics.jsonl").read_bytes()
@@ -64,38 +64,38 @@ def test_a_full_disk_stops_a_collection_which_then_ends_as_if_there_had_been_roo
         shutil.rmtree(building / "dataset", ignore_errors=True)
         assert any("below" in line for line in fills_up(disk, (size,), *COLLECT))
         assert "walker/undisturbed-v0" in disk.listed()
-        assert "walker/random-v0" not in disk.listed()
+        assert "walker/random-smoke-v0" not in disk.listed()
     assert (building / "diagnostics.jsonl").read_bytes() == kept
     assert disk.run(*COLLECT).code == 0
-    assert verify_fingerprint("walker/random-v0", root) == read_manifest("walker/undisturbed-v0", root).fingerprint
-    assert "walker/random-v0" in disk.listed()
+    assert verify_fingerprint("walker/random-smoke-v0", root) == read_manifest("walker/undisturbed-v0", root).fingerprint
+    assert "walker/random-smoke-v0" in disk.listed()
 
 
 @pytest.fixture
 def labelled(disk: SmallDisk) -> SmallDisk:
     """A disk with a small dataset, labelled."""
     assert disk.run(*COLLECT).code == 0
-    assert disk.run("relabel", "walker/random-v0", "--task", "walk").code == 0
+    assert disk.run("relabel", "walker/random-smoke-v0", "--task", "walk").code == 0
     return disk
 
 
 def test_a_full_disk_stops_relabelling_which_goes_on_with_the_tasks_that_are_left(labelled: SmallDisk) -> None:
-    disk, relabel = labelled, ("relabel", "walker/random-v0", "--tasks", "walk,run")
+    disk, relabel = labelled, ("relabel", "walker/random-smoke-v0", "--tasks", "walk,run")
     for line in fills_up(disk, (0, 6_000, 12_000, 18_000), *relabel):
-        assert "cannot write 'walker/run/random-v0'" in line
+        assert "cannot write 'walker/run/random-smoke-v0'" in line
     assert "walker/run" not in disk.listed()
     assert not (disk.seen / "datasets/walker/run").exists()
     assert disk.run(*relabel).code == 0
-    assert verify_fingerprint("walker/run/random-v0", disk.seen / "datasets")
-    assert "walker/run/random-v0" in disk.listed()
+    assert verify_fingerprint("walker/run/random-smoke-v0", disk.seen / "datasets")
+    assert "walker/run/random-smoke-v0" in disk.listed()
 
 
 def test_a_full_disk_stops_an_evaluation_and_what_is_made_of_it(labelled: SmallDisk) -> None:
     """Lock, checkpoint, policy, record; then the leaderboard, an exported policy, a video."""
     disk = labelled
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/random-v0")
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/random-smoke-v0")
     undisturbed, output = disk.place / "undisturbed", disk.place / "results"
-    name = "smoke/walker/walk/random-v0/td3-seed1.json"
+    name = "smoke/walker/walk/random-smoke-v0/td3-seed1.json"
     assert disk.run(*evaluate, "--output", str(undisturbed)).code == 0
     said = fills_up(disk, (0, 4096, 12_288), *evaluate, "--output", str(output))
     for line, what in zip(said, (str(output / name), "the policy", "the record"), strict=True):
@@ -135,9 +135,9 @@ def test_a_disk_that_is_read_only_is_seen_before_any_work(labelled: SmallDisk) -
     try:
         for command in (
             ("collect", "--seed", "2"),
-            ("relabel", "walker/random-v0", "--task", "run"),
-            (*EVALUATE, "--dataset-id", "walker/walk/random-v0", "--output", str(disk.place / "results")),
-            (*EVALUATE, "--dataset-id", "walker/walk/random-v0", "--output", "elsewhere"),
+            ("relabel", "walker/random-smoke-v0", "--task", "run"),
+            (*EVALUATE, "--dataset-id", "walker/walk/random-smoke-v0", "--output", str(disk.place / "results")),
+            (*EVALUATE, "--dataset-id", "walker/walk/random-smoke-v0", "--output", "elsewhere"),
             ("pilot",),
             ("leaderboard", "--output", str(disk.place / "report")),
         ):
@@ -145,8 +145,8 @@ def test_a_disk_that_is_read_only_is_seen_before_any_work(labelled: SmallDisk) -
             refused(done, 2, "cannot be written")
             assert len(done.err.splitlines()) == 1
         # What is made of it and kept elsewhere needs no more than reading.
-        assert disk.run("verify", "walker/walk/random-v0").code == 0
-        assert "walker/random-v0" in disk.listed()
+        assert disk.run("verify", "walker/walk/random-smoke-v0").code == 0
+        assert "walker/random-smoke-v0" in disk.listed()
     finally:
         disk.remount("rw")
     assert disk.files() == before

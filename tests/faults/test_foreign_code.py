@@ -99,7 +99,7 @@ def test_a_method_that_ends_the_process_is_no_success(main: Main, install: Insta
 )
 def test_a_reward_that_ends_the_process_is_no_success(source: str, why: str, main: Main, install: Install, smoke: Path) -> None:
     install("", source)
-    done = main("relabel", "walker/cudc-v0", "--reward", "foreign:hop")
+    done = main("relabel", "walker/cudc-smoke-v0", "--reward", "foreign:hop")
     assert done.code in {1, 2}, done.err
     refused(done, done.code, why)
 

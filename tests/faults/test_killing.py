@@ -68,11 +68,12 @@ def test_interrupted_a_run_says_where_it_stopped_and_goes_on_from_there(
         stopped = int(line.split("step ")[1].split(" of")[0].replace(",", ""))
         assert max(int(path.stem) for path in datasets.rglob("*.pt")) == stopped
         assert set(minari.list_local_datasets()) == {undisturbed}
-    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 8_000}) == ["walker/random-v0"]
-    first, second = (read_manifest(one) for one in (undisturbed, "walker/random-v0"))
-    assert verify_fingerprint("walker/random-v0") == first.fingerprint
+    assert cudc_bench.collect("random", profile="smoke", settings={"steps": 8_000}) == ["walker/random-smoke-v0"]
+    first, second = (read_manifest(one) for one in (undisturbed, "walker/random-smoke-v0"))
+    assert verify_fingerprint("walker/random-smoke-v0") == first.fingerprint
     assert second.final_state == first.final_state
-    assert (datasets / "walker/random-v0/diagnostics.jsonl").read_bytes() == (datasets / undisturbed / "diagnostics.jsonl").read_bytes()
+    diagnostics = [datasets / one / "diagnostics.jsonl" for one in ("walker/random-smoke-v0", undisturbed)]
+    assert diagnostics[0].read_bytes() == diagnostics[1].read_bytes()
 
 
 def test_interrupted_twice_it_stops_at_once_and_loses_nothing_that_was_kept(
@@ -132,9 +133,9 @@ def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environme
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
     done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
-    assert (done.returncode, done.stdout.split()) == (0, ["walker/random-v0", "walker/random-seed2-v0"])
+    assert (done.returncode, done.stdout.split()) == (0, ["walker/random-smoke-v0", "walker/random-smoke-seed2-v0"])
     (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 6_000}, dataset_id="walker/undisturbed-v0")
-    assert verify_fingerprint("walker/random-v0") == read_manifest(undisturbed).fingerprint
+    assert verify_fingerprint("walker/random-smoke-v0") == read_manifest(undisturbed).fingerprint
 
 
 def test_another_configuration_is_refused_and_fresh_starts_over(
@@ -144,19 +145,19 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     with killed_in_the_end(process):
         wait_for(lambda: has_stopped(process.pid), process)
     at = max(int(path.stem) for path in datasets.rglob("*.pt"))
-    line = f"Unfinished: walker/random-v0: was interrupted; its last checkpoint is at step {at:,}"
+    line = f"Unfinished: walker/random-smoke-v0: was interrupted; its last checkpoint is at step {at:,}"
     assert line in cli("list").out.splitlines()
     before = sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*"))
     done = cli("collect", "--method", "random", "--set", "steps=3000")
     assert done.code == 2
     assert done.err == (
-        "cudc-bench: error: an interrupted run of 'walker/random-v0' had other settings: hyperparameters.steps 8000, not 3000."
+        "cudc-bench: error: an interrupted run of 'walker/random-smoke-v0' had other settings: hyperparameters.steps 8000, not 3000."
         " Use those to continue it, or cudc-bench collect --fresh to start over.\n"
     )
     assert sorted((path, path.stat().st_mtime_ns) for path in datasets.rglob("*")) == before
     done = cli("collect", "--method", "random", "--set", "steps=3000", "--fresh")
-    assert (done.code, done.out) == (0, "walker/random-v0\n"), done.err
-    assert read_manifest("walker/random-v0").steps == 3000
+    assert (done.code, done.out) == (0, "walker/random-smoke-v0\n"), done.err
+    assert read_manifest("walker/random-smoke-v0").steps == 3000
     assert sorted(path.name for path in (datasets / "walker").iterdir()) == ["namespace_metadata.json", "random-v0"]
 
 

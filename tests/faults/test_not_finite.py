@@ -110,7 +110,7 @@ def test_a_run_interrupted_after_it_broke_is_given_up_when_it_is_continued(
 
 
 def test_a_training_that_blows_up_is_one_line_and_leaves_no_record(main: Callable, smoke: Path, tmp_path: Path) -> None:
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results", "--checkpoint-every", "0")
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--output", "results", "--checkpoint-every", "0")
     refused(main(*but(evaluate, learning_rate=1e30)), 1, "training broke down", "not finite; try a smaller learning_rate.")
     assert not [path for path in (tmp_path / "results").rglob("*") if path.is_file()]
     assert main(*evaluate).code == 0
@@ -122,7 +122,7 @@ def test_actions_and_returns_of_an_evaluation_are_finite(
     """Broken networks are named before MuJoCo complains of its controls, and what it measures before it is recorded."""
     from cudc_bench.evaluators.td3 import TD3
 
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results")
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--output", "results")
     with monkeypatch.context() as patch:
         patch.setattr(TD3, "act", lambda self, observation: torch.full((*observation.shape[:2], 6), float("nan")))
         refused(main(*evaluate), 1, "training broke down before this evaluation: actions not finite; try a smaller learning_rate.")
@@ -147,9 +147,9 @@ def test_a_simulation_that_diverges_is_one_line_in_every_command(
     main: Callable, smoke: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A speed that MuJoCo warns of and resets by itself."""
-    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results", "--checkpoint-every", "0")
+    evaluate = (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--output", "results", "--checkpoint-every", "0")
     assert main(*evaluate).code == 0
-    record = tmp_path / "results/smoke/walker/walk/cudc-v0/td3-seed1.json"
+    record = tmp_path / "results/smoke/walker/walk/cudc-smoke-v0/td3-seed1.json"
     real, calls = Walker.step, 0
 
     def step(simulator: Walker, action: Any) -> None:
@@ -170,7 +170,7 @@ def test_a_simulation_that_diverges_is_one_line_in_every_command(
         calls = 0
         refused(main(*command), 1, line, "run again with another seed.")
     assert sorted(tmp_path.rglob("*")) == before
-    assert not (smoke / "walker/random-v0").exists()
+    assert not (smoke / "walker/random-smoke-v0").exists()
     assert [path.name for path in (smoke / "walker").iterdir() if path.name.startswith(".")] == []
 
 
@@ -201,12 +201,12 @@ def test_a_reward_function_that_fails_is_one_line_and_once_mended_the_same_comma
     (tmp_path / f"own_{wrong}.py").write_text(REWARD)
     monkeypatch.syspath_prepend(tmp_path)
     reward = ("--reward", f"own_{wrong}:hop")
-    evaluate = (*EVALUATE, "--dataset-id", "walker/hop/cudc-v0", "--output", "results", "--checkpoint-every", "0", *reward)
+    evaluate = (*EVALUATE, "--dataset-id", "walker/hop/cudc-smoke-v0", "--output", "results", "--checkpoint-every", "0", *reward)
     with monkeypatch.context() as patch:
         patch.setenv("WRONG", wrong)
-        refused(main("relabel", "walker/cudc-v0", *reward), 1, f"the reward function own_{wrong}:hop", line)
+        refused(main("relabel", "walker/cudc-smoke-v0", *reward), 1, f"the reward function own_{wrong}:hop", line)
     assert not (smoke / "walker/hop").exists()
-    assert main("relabel", "walker/cudc-v0", *reward).code == 0
+    assert main("relabel", "walker/cudc-smoke-v0", *reward).code == 0
     with monkeypatch.context() as patch:
         patch.setenv("WRONG", wrong)
         refused(main(*evaluate), 1, f"the reward function own_{wrong}:hop", line)

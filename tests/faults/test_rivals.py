@@ -47,12 +47,16 @@ def a_dead_process() -> int:
 def three(smoke: Path) -> list[tuple[tuple[str, ...], Path, Path]]:
     """Commands, the lock of each, and the file by which what it makes is known."""
     shutil.rmtree(smoke / "walker/run")
-    record = "smoke/walker/walk/cudc-v0/td3-seed1"
+    record = "smoke/walker/walk/cudc-smoke-v0/td3-seed1"
     return [
-        (COLLECT, smoke / "walker/.random-v0.lock", smoke / "walker/random-v0" / HDF5),
-        (("relabel", "walker/cudc-v0", "--task", "run"), smoke / "walker/run/.cudc-v0.lock", smoke / "walker/run/cudc-v0" / HDF5),
+        (COLLECT, smoke / "walker/.random-smoke-v0.lock", smoke / "walker/random-smoke-v0" / HDF5),
         (
-            (*EVALUATE, "--dataset-id", "walker/walk/cudc-v0", "--output", "results"),
+            ("relabel", "walker/cudc-smoke-v0", "--task", "run"),
+            smoke / "walker/run/.cudc-smoke-v0.lock",
+            smoke / "walker/run/cudc-smoke-v0" / HDF5,
+        ),
+        (
+            (*EVALUATE, "--dataset-id", "walker/walk/cudc-smoke-v0", "--output", "results"),
             Path(f"results/.checkpoints/{record}.lock"),
             Path(f"results/{record}.json"),
         ),

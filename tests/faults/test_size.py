@@ -52,8 +52,8 @@ def test_a_pipe_a_device_or_a_file_that_has_grown_is_no_file(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        ("walker/cudc-v0/data/metadata.json", lambda path: read_manifest("walker/cudc-v0")),
-        ("walker/cudc-v0/diagnostics.jsonl", lambda path: read_measures("walker/cudc-v0", ["reward"])),
+        ("walker/cudc-smoke-v0/data/metadata.json", lambda path: read_manifest("walker/cudc-smoke-v0")),
+        ("walker/cudc-smoke-v0/diagnostics.jsonl", lambda path: read_measures("walker/cudc-smoke-v0", ["reward"])),
         ("thresholds.json", read_thresholds),
         ("td3-seed1.policy.pt", _read_weights),
         ("my.toml", lambda path: load_suite(str(path))),
@@ -113,9 +113,9 @@ def test_an_array_with_holes_is_not_read(tmp_path: Path) -> None:
 
 
 def test_a_manifest_may_claim_any_number_of_episodes(smoke: Path) -> None:
-    path = metadata_path("walker/cudc-v0")
+    path = metadata_path("walker/cudc-smoke-v0")
     content = json.loads(path.read_text())
     content["cudc_bench"]["episodes"] = content["total_episodes"] = 10**12
     path.write_text(json.dumps(content))
     with pytest.raises(RunError, match=r"the manifest has 1,000,000,000,000 episodes|episodes"):
-        cudc_bench.verify("walker/cudc-v0")
+        cudc_bench.verify("walker/cudc-smoke-v0")

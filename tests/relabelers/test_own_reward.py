@@ -79,13 +79,13 @@ def expected(episode: minari.EpisodeData) -> np.ndarray:
 
 
 def test_a_dataset_is_labelled_by_it(place: Path, smoke: Path) -> None:
-    assert cudc_bench.relabel("walker/cudc-v0", reward="own_rewards:hop") == ["walker/hop/cudc-v0"]
-    manifest = read_manifest("walker/hop/cudc-v0")
+    assert cudc_bench.relabel("walker/cudc-smoke-v0", reward="own_rewards:hop") == ["walker/hop/cudc-smoke-v0"]
+    manifest = read_manifest("walker/hop/cudc-smoke-v0")
     assert manifest.task == "hop"
     assert manifest.reward is not None
     assert manifest.reward.reference == "own_rewards:hop"
-    assert manifest.command == "cudc-bench relabel walker/cudc-v0 --reward own_rewards:hop"
-    dataset = minari.load_dataset("walker/hop/cudc-v0")
+    assert manifest.command == "cudc-bench relabel walker/cudc-smoke-v0 --reward own_rewards:hop"
+    dataset = minari.load_dataset("walker/hop/cudc-smoke-v0")
     for episode in dataset.iterate_episodes():
         np.testing.assert_allclose(episode.rewards, expected(episode), rtol=0, atol=1e-5)
         assert np.ptp(episode.rewards) > 0.1
@@ -95,18 +95,18 @@ def test_the_function_itself_does_as_well(place: Path, smoke: Path) -> None:
     sys.path.append(str(place))
     import own_rewards
 
-    assert cudc_bench.relabel("walker/cudc-v0", reward=own_rewards.hop) == ["walker/hop/cudc-v0"]
-    assert read_manifest("walker/hop/cudc-v0").reward.reference == "own_rewards:hop"
+    assert cudc_bench.relabel("walker/cudc-smoke-v0", reward=own_rewards.hop) == ["walker/hop/cudc-smoke-v0"]
+    assert read_manifest("walker/hop/cudc-smoke-v0").reward.reference == "own_rewards:hop"
     with pytest.raises(UsageError, match="cannot be imported again, as evaluation needs it"):
-        cudc_bench.relabel("walker/cudc-v0", reward=lambda measured: measured["torso_height"])
+        cudc_bench.relabel("walker/cudc-smoke-v0", reward=lambda measured: measured["torso_height"])
 
 
 def test_the_recovered_environment_gives_the_same_rewards(place: Path, smoke: Path, python: Callable) -> None:
-    cudc_bench.relabel("walker/cudc-v0", reward="own_rewards:hop")
+    cudc_bench.relabel("walker/cudc-smoke-v0", reward="own_rewards:hop")
     script = """
 import minari, numpy as np, sys
 sys.path.insert(0, "")
-dataset = minari.load_dataset("walker/hop/cudc-v0")
+dataset = minari.load_dataset("walker/hop/cudc-smoke-v0")
 environment, episode = dataset.recover_environment(), dataset[1]
 environment.reset(seed=int(next(iter(dataset.storage.get_episode_metadata([1])))["seed"]))
 rewards = [environment.step(action)[1] for action in episode.actions]
@@ -119,7 +119,7 @@ print(environment.spec.id, environment.spec.max_episode_steps)
 def test_policies_are_scored_by_it(place: Path, smoke: Path, cli: Callable) -> None:
     done = cli("evaluate", "--reward", "own_rewards:hop", "--output", "out")
     assert done.code == 0, done.err
-    assert "walker/hop/cudc-v0 missing: relabelling first" in done.err
+    assert "walker/hop/cudc-smoke-v0 missing: relabelling first" in done.err
     record = read_record(place / done.out.strip())
     assert (record.dataset.task, record.dataset.reward.reference) == ("hop", "own_rewards:hop")
     assert "reward: own_rewards:hop" in record.group
@@ -138,22 +138,46 @@ def test_policies_are_scored_by_it(place: Path, smoke: Path, cli: Callable) -> N
 
 
 def test_a_function_is_run_only_if_the_user_names_it(place: Path, smoke: Path, cli: Callable) -> None:
-    cudc_bench.relabel("walker/cudc-v0", reward="own_rewards:hop")
+    cudc_bench.relabel("walker/cudc-smoke-v0", reward="own_rewards:hop")
     (place / "own_rewards.py").write_text("raise SystemExit('ran')\n")
-    done = cli("evaluate", "--dataset-id", "walker/hop/cudc-v0")
+    done = cli("evaluate", "--dataset-id", "walker/hop/cudc-smoke-v0")
     assert done.code == 2
     assert "is labelled by the function own_rewards:hop; to run it here, give --reward own_rewards:hop." in done.err
-    done = cli("evaluate", "--dataset-id", "walker/walk/cudc-v0", "--reward", "broken_rewards:hop")
+    done = cli("evaluate", "--dataset-id", "walker/walk/cudc-smoke-v0", "--reward", "broken_rewards:hop")
     assert done.code == 2
     assert "cannot import 'broken_rewards': ZeroDivisionError" in done.err
 
 
 def test_a_function_that_was_changed_is_another_one(place: Path, smoke: Path, cli: Callable) -> None:
-    cudc_bench.relabel("walker/cudc-v0", reward="own_rewards:hop")
+    cudc_bench.relabel("walker/cudc-smoke-v0", reward="own_rewards:hop")
     (place / "own_rewards.py").write_text(MODULE.replace("0.1 * effort", "0.2 * effort"))
-    done = cli("evaluate", "--reward", "own_rewards:hop")
+    short = ("evaluate", "--algo", "bc", "--reward", "own_rewards:hop", "--steps", "2", "--no-policy")
+    done = cli(*short)
     assert done.code == 1
-    assert done.err.splitlines()[-1].startswith("cudc-bench: error: the function own_rewards:hop has changed since 'walker/hop/cudc-v0'")
+    said = "'walker/hop/cudc-smoke-v0' was labelled by another text of the function own_rewards:hop; evaluate --overwrite labels it again"
+    assert done.err.splitlines()[-1].startswith(f"cudc-bench: error: {said}")
+    by_id = cli(*short, "--dataset-id", "walker/hop/cudc-smoke-v0")
+    assert by_id.code == 1
+    assert "cudc-bench relabel walker/cudc-smoke-v0 --reward own_rewards:hop --overwrite." in by_id.err
+
+
+def test_one_command_goes_on_with_a_function_that_was_changed(place: Path, smoke: Path, cli: Callable) -> None:
+    short = ("evaluate", "--algo", "bc", "--reward", "own_rewards:hop", "--steps", "2", "--no-policy", "--output", "out")
+    (path,) = cli(*short).out.split()
+    before = read_record(place / path)
+    for number, more in enumerate(((), ("--dataset-id", "walker/hop/cudc-smoke-v0"), ("--dataset-id", "walker/cudc-smoke-v0"))):
+        (place / "own_rewards.py").write_text(MODULE.replace("0.1 * effort", f"0.{number + 2} * effort"))
+        done = cli(*short, *more, "--overwrite")
+        assert (done.code, done.out.split()) == (0, [path]), done.err
+        after = read_record(place / path)
+        assert after.dataset.fingerprint != before.dataset.fingerprint
+        assert after.dataset.fingerprint == read_manifest("walker/hop/cudc-smoke-v0").fingerprint
+        assert "labelled by another text of the function own_rewards:hop: relabelling first" in done.err
+        before = after
+    # What has not changed is not made again.
+    made = (smoke / "walker/hop/cudc-smoke-v0/data/metadata.json").stat().st_mtime_ns
+    assert cli(*short, "--overwrite").code == 0
+    assert (smoke / "walker/hop/cudc-smoke-v0/data/metadata.json").stat().st_mtime_ns == made
 
 
 @pytest.mark.parametrize(
@@ -171,7 +195,7 @@ def test_a_function_that_was_changed_is_another_one(place: Path, smoke: Path, cl
 )
 def test_what_is_no_reward_function_is_refused_in_one_line(reference: str, message: str, place: Path, smoke: Path, cli: Callable) -> None:
     before = sorted(smoke.rglob("*"))
-    done = cli("relabel", "walker/cudc-v0", "--reward", reference)
+    done = cli("relabel", "walker/cudc-smoke-v0", "--reward", reference)
     assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1), done.err
     assert message in done.err
     assert sorted(smoke.rglob("*")) == before
@@ -191,7 +215,7 @@ def test_what_is_no_reward_function_is_refused_in_one_line(reference: str, messa
 )
 def test_a_function_that_fails_is_one_line_and_leaves_nothing(name: str, message: str, place: Path, smoke: Path) -> None:
     with pytest.raises(RunError, match=message):
-        cudc_bench.relabel("walker/cudc-v0", reward=f"own_rewards:{name}")
+        cudc_bench.relabel("walker/cudc-smoke-v0", reward=f"own_rewards:{name}")
     assert not (smoke / "walker" / name).exists()
 
 
@@ -208,14 +232,14 @@ def test_every_quantity_of_a_domain_is_measured_under_its_name(name: str) -> Non
 
 def test_with_tasks_it_is_refused(smoke: Path, place: Path) -> None:
     with pytest.raises(UsageError, match="--reward makes a task of its own; leave out --tasks"):
-        cudc_bench.relabel("walker/cudc-v0", ["walk"], reward="own_rewards:hop")
+        cudc_bench.relabel("walker/cudc-smoke-v0", ["walk"], reward="own_rewards:hop")
     with pytest.raises(UsageError, match="is labelled for walk, not by own_rewards:hop; leave out --reward"):
-        cudc_bench.evaluate("td3", dataset_id="walker/walk/cudc-v0", reward="own_rewards:hop", profile="smoke")
+        cudc_bench.evaluate("td3", dataset_id="walker/walk/cudc-smoke-v0", reward="own_rewards:hop", profile="smoke")
 
 
 def test_the_card_and_the_metadata_name_it(smoke: Path, place: Path) -> None:
-    cudc_bench.relabel("walker/cudc-v0", reward="own_rewards:hop")
-    metadata = json.loads((smoke / "walker/hop/cudc-v0/data/metadata.json").read_text())
+    cudc_bench.relabel("walker/cudc-smoke-v0", reward="own_rewards:hop")
+    metadata = json.loads((smoke / "walker/hop/cudc-smoke-v0/data/metadata.json").read_text())
     spec = json.loads(metadata["env_spec"])
     assert spec["kwargs"] == {"domain": "walker", "reward": "own_rewards:hop"}
     assert "own_rewards:hop" in metadata["description"]

@@ -23,11 +23,11 @@ from cudc_bench.envs import DOMAINS, env_id, make_simulators
 from cudc_bench.errors import RunError, UsageError
 
 TASKS = ("stand", "walk", "run", "flip")
-BASE = "walker/cudc-v0"
+BASE = "walker/cudc-smoke-v0"
 
 
 def relabeled(task: str) -> str:
-    return f"walker/{task}/cudc-v0"
+    return f"walker/{task}/cudc-smoke-v0"
 
 
 def live(domain: str, task: str, seed: int, policy: Callable[[int], np.ndarray], steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -146,9 +146,9 @@ def test_columns_are_the_domains_tasks_in_order_and_equal_the_live_rewards(domai
 def test_datasets_of_other_domains_hold_the_rewards_of_their_recovered_environments(name: str, datasets: Path) -> None:
     length, tasks = DOMAINS[name].episode_length, DOMAINS[name].tasks
     (base,) = cudc_bench.collect("random", name, profile="smoke", settings={"steps": length + 40})
-    assert cudc_bench.relabel(base) == [f"{name}/{task}/random-v0" for task in tasks]
+    assert cudc_bench.relabel(base) == [f"{name}/{task}/random-smoke-v0" for task in tasks]
     for task in tasks:
-        dataset = minari.load_dataset(f"{name}/{task}/random-v0")
+        dataset = minari.load_dataset(f"{name}/{task}/random-smoke-v0")
         environment = dataset.recover_environment()
         assert environment.spec.id == env_id(name, task)
         assert [len(episode.actions) for episode in dataset.iterate_episodes()] == [length, 40]
@@ -275,7 +275,7 @@ def test_what_exists_already_is_kept(smoke: Path, capsys: pytest.CaptureFixture[
     made = read_manifest(relabeled("walk")).created, (smoke / relabeled("walk") / "data").stat().st_mtime_ns
     assert cudc_bench.relabel(BASE, ["stand", "walk"]) == [relabeled("stand"), relabeled("walk")]
     assert (read_manifest(relabeled("walk")).created, (smoke / relabeled("walk") / "data").stat().st_mtime_ns) == made
-    assert "walker/walk/cudc-v0 was made from this very base: kept\n" in capsys.readouterr().err
+    assert "walker/walk/cudc-smoke-v0 was made from this very base: kept\n" in capsys.readouterr().err
     assert (smoke / relabeled("stand") / "data").is_dir()
 
 

@@ -71,7 +71,7 @@ def collecting(seeds: tuple[int, ...], output: Path) -> tuple[Work[Any], Callabl
 
 
 def training(seeds: tuple[int, ...], output: Path) -> tuple[Work[Any], Callable[[], Any]]:
-    execution, name = Execution(), "walker/walk/cudc-v0"
+    execution, name = Execution(), "walker/walk/cudc-smoke-v0"
     (plan,) = make_plans(["td3"], resolve_profile("smoke"), {"evaluation_episodes": 1, "final_episodes": 1}, None)
     work = Work(execution, [Training(execution, [Run(plan, name, read_manifest(name), None, seed, output) for seed in seeds])], 1)
     return work, partial(

@@ -17,7 +17,7 @@ from cudc_bench.artefacts.records import read_record
 from cudc_bench.errors import UsageError
 
 DOMAIN = "dm_control/cheetah-run"
-BASE, LABELLED = "dm_control/cheetah_run/random-v0", "dm_control/cheetah_run/run/random-v0"
+BASE, LABELLED = "dm_control/cheetah_run/random-smoke-v0", "dm_control/cheetah_run/run/random-smoke-v0"
 REPLAY = """
 import json, sys
 import minari
@@ -58,7 +58,7 @@ def test_from_collection_to_the_table(cli: Callable, python: Callable, datasets:
     done = cli("evaluate", *options, "--workers", "1")
     assert done.code == 0, done.err
     path = Path(done.out.strip())
-    assert path == Path("results/smoke/dm_control/cheetah_run/run/random-v0/td3-seed1.json")
+    assert path == Path("results/smoke/dm_control/cheetah_run/run/random-smoke-v0/td3-seed1.json")
     record = read_record(tmp_path / path)
     assert (record.dataset.domain, record.dataset.task, record.dataset.id) == (DOMAIN, "run", LABELLED)
     assert f"--domain {DOMAIN} --method random --seed 1 --task run" in record.command
@@ -96,7 +96,7 @@ def _state(datasets: Path, step: int) -> np.ndarray:
 def test_a_domain_whose_rewards_no_state_tells_is_collected_and_says_so(datasets: Path) -> None:
     reason = "easy, hard: its reward depends on more than state and action (a target drawn at reset, a sensor that lags)"
     cudc_bench.collect("random", "dm_control/reacher-easy", profile="smoke", settings={"steps": 1200})
-    one = "dm_control/reacher_easy/random-v0"
+    one = "dm_control/reacher_easy/random-smoke-v0"
     assert read_manifest(one).domain == "dm_control/reacher-easy"
     assert reason in json.loads((datasets / one / "data" / "metadata.json").read_text())["description"]
     before = sorted(datasets.rglob("*"))
@@ -117,5 +117,5 @@ def test_a_domain_whose_rewards_no_state_tells_is_collected_and_says_so(datasets
 def test_a_method_says_that_it_has_no_values_for_a_domain(capsys: pytest.CaptureFixture) -> None:
     cudc_bench.collect("cudc", DOMAIN, profile="smoke", settings={"steps": 1100})
     assert f"cudc has no values of its own for {DOMAIN}; it takes those for walker\n" in capsys.readouterr().err
-    values = read_manifest("dm_control/cheetah_run/cudc-v0").hyperparameters
+    values = read_manifest("dm_control/cheetah_run/cudc-smoke-v0").hyperparameters
     assert (values["alpha"], values["beta"], values["c_w"]) == (1e-3, 1e-2, 0.02)

@@ -33,9 +33,9 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(place / "datasets"))
         cudc_bench.collect("cudc", profile="smoke", settings={"steps": 1200})
-        cudc_bench.relabel("walker/cudc-v0", ["walk"])
+        cudc_bench.relabel("walker/cudc-smoke-v0", ["walk"])
         cudc_bench.evaluate(
-            "bc", dataset_id="walker/walk/cudc-v0", profile="smoke", settings=SHORT, output=place / "results", policies=False
+            "bc", dataset_id="walker/walk/cudc-smoke-v0", profile="smoke", settings=SHORT, output=place / "results", policies=False
         )
     return place
 
@@ -103,7 +103,7 @@ def test_a_dataset_that_is_here_is_trained_on(record: Path, made_once: Path, dat
     assert (found.collected, found.differences) == (False, ())
     assert not (tmp_path / "rerun").exists()
     # Another one under its name is not.
-    cudc_bench.relabel("walker/cudc-v0", ["run"])
+    cudc_bench.relabel("walker/cudc-smoke-v0", ["run"])
     shutil.rmtree(datasets / "walker" / "walk")
     (datasets / "walker" / "run").rename(datasets / "walker" / "walk")
     (found,) = rerun(record)
@@ -148,7 +148,7 @@ def test_the_commands_of_a_record_work_in_an_empty_root(record: Path, cli: Calla
     after = timeless(json.loads(record.read_text()))
     for name in ("curve", "final", "metrics", "hyperparameters", "overrides", "command"):
         assert after[name] == before[name]
-    assert after["dataset"]["fingerprint"] == before["dataset"]["fingerprint"] == read_manifest("walker/walk/cudc-v0").fingerprint
+    assert after["dataset"]["fingerprint"] == before["dataset"]["fingerprint"] == read_manifest("walker/walk/cudc-smoke-v0").fingerprint
 
 
 def test_what_others_handed_in_says_that_it_was_made_again(record: Path, made_once: Path, datasets: Path) -> None:

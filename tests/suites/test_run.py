@@ -144,11 +144,11 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert said.splitlines()[-1] == "ValueError: a bug of somebody's own"
     first = records(tmp_path / "results")
     assert set(first) == {f"smoke/jaco/reach_top_left/{name}-v0/bc-seed1.json" for name in ("random", "proto")}
-    assert not exists("jaco/random-v0")
-    assert not exists("jaco/reach_top_left/random-v0")
+    assert not exists("jaco/random-smoke-v0")
+    assert not exists("jaco/reach_top_left/random-smoke-v0")
     assert exists("jaco/proto-v0")
     assert exists("jaco/reach_top_left/proto-v0")
-    assert "removed jaco/random-v0 and 1 labelled from it" in err
+    assert "removed jaco/random-smoke-v0 and 1 labelled from it" in err
     assert list((tmp_path / "report").rglob("table.md"))
 
     # Another algorithm needs the dataset again: it is the same, and nothing that was recorded is made again.
@@ -158,13 +158,13 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     )  # fmt: skip
     assert (again.jobs, again.kept, again.failed) == (4, 1, [])
     second = records(tmp_path / "results")
-    name = "smoke/jaco/reach_top_left/random-v0/td3-bc-seed1.json"
+    name = "smoke/jaco/reach_top_left/random-smoke-v0/td3-bc-seed1.json"
     assert set(second) == {*first, name}
     for path in first:
         assert second[path] == first[path]
     assert second[name]["dataset"] == second[name.replace("td3-bc", "bc")]["dataset"]
-    note = json.loads((tmp_path / "results/.suite/datasets/jaco/random-v0.json").read_text())
-    assert note["manifest"]["fingerprint"] == read_manifest("jaco/random-v0").fingerprint
+    note = json.loads((tmp_path / "results/.suite/datasets/jaco/random-smoke-v0.json").read_text())
+    assert note["manifest"]["fingerprint"] == read_manifest("jaco/random-smoke-v0").fingerprint
     assert note["manifest"]["command"].startswith("cudc-bench collect --domain jaco --method random --seed 1 --profile smoke")
 
 
@@ -203,7 +203,7 @@ def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
     assert second.returncode == 130, said
     assert re.search(r"error: interrupted: 0 of 3 jobs done; .*random seed 1 at step [\d,]+ of 6,000,000; the same command continues", said)
     assert newest() > reached
-    assert not exists("walker/random-v0")
+    assert not exists("walker/random-smoke-v0")
     worker = int(re.findall(r"process (\d+):", log.read_text())[-1])
     assert not lives(worker)
 
@@ -213,7 +213,7 @@ def test_what_stands_in_the_way_is_refused_before_any_work(datasets: Path, tmp_p
     suite.write_text(TINY)
     output = tmp_path / "results"
     cudc_bench.collect("random", "jaco", profile="smoke", settings={"steps": 1250})
-    with pytest.raises(UsageError, match=r"'jaco/random-v0' exists \(.*steps=1250.*is of another run; take another root"):
+    with pytest.raises(UsageError, match=r"'jaco/random-smoke-v0' exists \(.*steps=1250.*is of another run; take another root"):
         cudc_bench.run_suite(str(suite), output=output)
     suite.write_text(TINY.replace("steps = 1000", "steps = 1250"))
     cudc_bench.evaluate(
@@ -265,7 +265,7 @@ def collected(datasets: Path, tmp_path: Path) -> tuple[Common, Record, Path]:
 
 def test_only_what_the_suite_made_is_removed(collected: tuple[Common, Record, Path], datasets: Path) -> None:
     common, _, _ = collected
-    base, labelled = "jaco/random-v0", "jaco/reach_top_left/random-v0"
+    base, labelled = "jaco/random-smoke-v0", "jaco/reach_top_left/random-smoke-v0"
     assert is_ours(common, base)
     assert is_ours(common, labelled)
     # What somebody else labelled from it needs it.
@@ -297,11 +297,11 @@ def test_only_what_the_suite_made_is_removed(collected: tuple[Common, Record, Pa
 
 def test_a_dataset_that_comes_out_different_is_not_trained_on(collected: tuple[Common, Record, Path]) -> None:
     common, record, path = collected
-    base = parse_id("jaco/random-v0")
+    base = parse_id("jaco/random-smoke-v0")
     check_same(base, common)
     changed = record.model_copy(update={"dataset": record.dataset.model_copy(update={"fingerprint": "0" * 64})})
     write_record(path, changed)
     with pytest.raises(
-        RunError, match=r"'jaco/reach_top_left/random-v0' has other data now \(fingerprint .*\) than when .* \(000000000000\)"
+        RunError, match=r"'jaco/reach_top_left/random-smoke-v0' has other data now \(fingerprint .*\) than when .* \(000000000000\)"
     ):
         check_same(base, common)
