@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.artefacts.records import Record
-from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.settings.seeds import format_seeds
 from cudc_bench.text import plain
 
@@ -71,9 +70,9 @@ class Wanted:
 
 
 def find_missing(tables: Iterable[Table], wanted: Iterable[Wanted] = ()) -> list[Missing]:
-    """What the tables of each group and algorithm lack of each other's methods and collector seeds, and of their domains' tasks.
+    """What the tables of each group and algorithm lack of each other's methods and collector seeds, and of their own tasks.
 
-    A domain without any record is not asked for, and neither imported datasets nor what others handed in are:
+    A domain or task without any record is not asked for, and neither imported datasets nor what others handed in are:
     nobody can be told to make those.
 
     Args:
@@ -108,12 +107,11 @@ def _of_group(tables: Sequence[Table]) -> list[Missing]:
     seeds = sorted({record.dataset.seed for record in own})
     found = []
     for table in tables:
-        tasks = DOMAINS[table.domain].tasks if table.domain in DOMAINS and own and own[0].dataset.reward is None else table.tasks
         have: dict[str, set[tuple[str, int]]] = defaultdict(set)
         for record in table.records:
             have[column(record)].add((record.dataset.task, record.dataset.seed))
         for method in methods:
-            for which, lacks in _holes(tasks, seeds, have[method]):
+            for which, lacks in _holes(table.tasks, seeds, have[method]):
                 command = _command(own[0], table.domain, method, which, lacks, own[0].dataset.used)
                 found.append(Missing(table.group, table.algorithm, table.domain, plain(method), which, lacks, command))
     return found

@@ -58,9 +58,8 @@ class Block:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The domain's tasks in its order, whether they have records or not, then others by name."""
-        known = DOMAINS[self.domain].tasks if self.domain in DOMAINS else ()
-        return ordered({*known, *(task for _, task in self.records)}, known)
+        """Those that have records: the domain's in its order, then others by name. Nobody asked for the rest."""
+        return ordered({task for _, task in self.records}, tasks_of(self.domain))
 
     @property
     def slug(self) -> str:
@@ -132,7 +131,7 @@ class Table:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The rows: the domain's tasks in its order, then others by name."""
+        """The rows: the domain's tasks that have records in its order, then others by name."""
         return tuple(line.labels[0] for line in self.grid.parts[0].lines)
 
     @property
@@ -183,6 +182,8 @@ class Table:
         imported = any(record.dataset.source for record in self.records)
         aliases = sorted({f"{one.dataset.method} under {canonical(one.dataset.method)}" for one in self.records
                         if one.dataset.source is None and canonical(one.dataset.method) != one.dataset.method})  # fmt: skip
+        own = any(record.dataset.reward is not None for record in self.records)
+        unasked = [] if own else [task for task in tasks_of(self.domain) if task not in self.tasks]
         return (
             f"Mean and sample standard deviation (divisor n-1) over collector seeds of the return of {self.algorithm} on"
             f" {self.domain} after {steps} gradient steps; the number of seeds is in brackets. Bold in each task:"
@@ -190,6 +191,7 @@ class Table:
             " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + references_caption(self.references, self.tasks)
+            + (f" Tasks of {self.domain} without any run: {', '.join(unasked)}." if unasked else "")
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (f" Another name of the same setting: {', '.join(aliases)}." if aliases else "")
             + submitted_caption(submitted_columns(self.records))
@@ -250,6 +252,11 @@ def tables_of(blocks: Iterable[Block], studies: bool = False) -> list[Table]:
     """The main table of each block that has methods for one; with ``studies`` that of the methods that exist for studies only."""
     chosen = [(block, [name for name in block.methods if (name in STUDY_METHODS) == studies]) for block in blocks]
     return [_build(block, methods, marked=not studies) for block, methods in chosen if methods]
+
+
+def tasks_of(domain: str) -> tuple[str, ...]:
+    """The tasks that come with a domain, in its order; none of a domain that is not known here."""
+    return DOMAINS[domain].tasks if domain in DOMAINS else ()
 
 
 def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
@@ -335,8 +342,7 @@ def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 def _build(block: Block, methods: Sequence[str], marked: bool) -> Table:
     own = {key: records for key, records in block.records.items() if key[0] in methods}
     records = tuple(record for found in own.values() for record in found)
-    known = DOMAINS[block.domain].tasks if block.domain in DOMAINS else ()
-    tasks = ordered({*known, *(task for _, task in own)}, known)
+    tasks = ordered({task for _, task in own}, tasks_of(block.domain))
     parts, episodes = [], {}
     for milestone in block.milestones:
         cells = [[build_cell(own.get((name, task), ()), milestone) for name in methods] for task in tasks]

@@ -481,21 +481,21 @@ def test_the_command_on_real_datasets(cli: Callable, datasets: Path, tmp_path: P
     for figure, panels in ((draw_k(comparison), ["k"]), (draw_losses(comparison), list(LOSSES))):
         for panel, name in zip(figure.axes, panels, strict=True):
             (line,) = lines_of(panel)
-            seeds = [told(one, name) for one in ("walker/cudc-v0", "walker/cudc-seed2-v0")]
+            seeds = [told(one, name) for one in ("walker/cudc-smoke-v0", "walker/cudc-smoke-seed2-v0")]
             assert line.get_xdata().tolist() == list(seeds[0])
             assert len(seeds[0]) > 1
             np.testing.assert_allclose(line.get_ydata(), np.mean([list(values.values()) for values in seeds], axis=0))
 
-    alone = cli("diagnostics", "walker/random-v0", "--output", "alone")
+    alone = cli("diagnostics", "walker/random-smoke-v0", "--output", "alone")
     assert alone.code == 0
     assert "there is no figure of k, since nothing here reports one (random)." in alone.err
-    assert f"{told('walker/random-v0', 'coverage_cells')[2000]:,}" in alone.out
+    assert f"{told('walker/random-smoke-v0', 'coverage_cells')[2000]:,}" in alone.out
     assert not (tmp_path / "alone").exists()
 
-    refused = cli("diagnostics", "walker/cudc-v0", "walker/cudk-v0")
+    refused = cli("diagnostics", "walker/cudc-smoke-v0", "walker/cudk-v0")
     assert (refused.code, refused.out) == (2, "")
     assert refused.err == f"cudc-bench: error: there is no dataset 'walker/cudk-v0' in {datasets}.\n"
-    with (datasets / "walker/random-v0/diagnostics.jsonl").open("a") as file:
+    with (datasets / "walker/random-smoke-v0/diagnostics.jsonl").open("a") as file:
         file.write('{"step": 20')
     damaged = cli("diagnostics", "--method", "random")
     assert (damaged.code, damaged.out, len(damaged.err.splitlines())) == (1, "", 1)

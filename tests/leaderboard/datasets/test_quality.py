@@ -21,19 +21,19 @@ TASKS = ("stand", "walk", "run", "flip")
 
 
 def test_rewards_are_those_of_the_relabelled_datasets(smoke: Path) -> None:
-    (table,) = measure_quality("walker/cudc-v0", None).tables
+    (table,) = measure_quality("walker/cudc-smoke-v0", None).tables
     (found,) = table.datasets
     assert tuple(found.rewards) == table.tasks == TASKS
     for task, density in found.rewards.items():
-        episodes = [rewards.astype(np.float64) for rewards in load_episodes(f"walker/{task}/cudc-v0", ("rewards",)).split("rewards")]
+        episodes = [rewards.astype(np.float64) for rewards in load_episodes(f"walker/{task}/cudc-smoke-v0", ("rewards",)).split("rewards")]
         steps, means = np.concatenate(episodes), [episode.mean() for episode in episodes]
         assert density.mean == pytest.approx(np.mean(means), rel=1e-6)
         assert density.quantiles == pytest.approx(np.quantile(means, QUANTILES), rel=1e-6)
         assert density.best == pytest.approx(max(means), rel=1e-6)
         assert density.top == pytest.approx(np.sort(steps)[-30:].mean(), rel=1e-6)
         assert density.above_half == (steps > 0.5).mean()
-    assert found.coverage == cudc_bench.coverage("walker/cudc-v0")
-    actions = load_episodes("walker/cudc-v0", ("actions",)).arrays["actions"]
+    assert found.coverage == cudc_bench.coverage("walker/cudc-smoke-v0")
+    actions = load_episodes("walker/cudc-smoke-v0", ("actions",)).arrays["actions"]
     assert found.action_std == pytest.approx(actions.std(0), rel=1e-5)
     assert found.action_saturated == (np.abs(actions) > 0.95).mean()
 
@@ -100,8 +100,8 @@ def test_the_command_compares_what_may_be_compared(smoke: Path, cli: Callable, t
 
 
 def test_what_cannot_be_measured_is_refused(smoke: Path, datasets: Path) -> None:
-    with pytest.raises(UsageError, match=r"^'walker/walk/cudc-v0' is labelled for walk; name its base 'walker/cudc-v0'\.$"):
-        measure_quality("walker/walk/cudc-v0", None)
+    with pytest.raises(UsageError, match=r"^'walker/walk/cudc-smoke-v0' is labelled for walk; name its base 'walker/cudc-smoke-v0'\.$"):
+        measure_quality("walker/walk/cudc-smoke-v0", None)
     with pytest.raises(UsageError, match="no dataset has the domain 'jaco'; there are: walker"):
         measure_quality(None, None, "jaco")
     with pytest.raises(UsageError, match="no dataset was named"):

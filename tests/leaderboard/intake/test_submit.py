@@ -144,7 +144,7 @@ def test_a_real_record_goes_the_whole_way(smoke: Path, cli: Callable, ground: Pa
     (path,) = cudc_bench.evaluate("td3", tasks=["walk"], profile="smoke", output="elsewhere", policies=False)
     assert "submission" not in json.loads(path.read_text())
     done = cli("submit", str(path), "--by", "ann", "--url", "https://example.org/", "--note", "hello")
-    kept = "results/submitted/ann/smoke/walker/walk/cudc-v0/td3-seed1.json"
+    kept = "results/submitted/ann/smoke/walker/walk/cudc-smoke-v0/td3-seed1.json"
     assert (done.code, done.out) == (0, f"{kept}\n"), done.err
     head, dirty = commit()
     if head:
@@ -498,7 +498,7 @@ def test_they_stand_apart_in_everything(ground: Path) -> None:
             assert [(cell.value, cell.std, cell.n) for cell in line.entries[:2] if cell] == [
                 (c.value, c.std, c.n) for c in old.entries if c
             ]
-    assert overall.submitted == ("cudc (by ann)",)
+    assert [(one.name, one.reran) for one in overall.submitted] == [("cudc (by ann)", 0)]
     assert find_missing(report.tables) == report.missing == []
     for text in (to_markdown(table), overall_to_markdown(overall), to_latex(table)):
         assert "Submitted by others, and not run again here: cudc (by ann)." in text.replace("\\", "")

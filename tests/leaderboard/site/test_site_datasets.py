@@ -27,8 +27,8 @@ def local(smoke, make_record):
 
     def records(**changes):
         return [
-            make_record(task=task, dataset_id=f"walker/{task}/cudc-v0", dataset_profile="smoke", profile="smoke",
-                        dataset_fingerprint=read_manifest(f"walker/{task}/cudc-v0").fingerprint, **changes)
+            make_record(task=task, dataset_id=f"walker/{task}/cudc-smoke-v0", dataset_profile="smoke", profile="smoke",
+                        dataset_fingerprint=read_manifest(f"walker/{task}/cudc-smoke-v0").fingerprint, **changes)
             for task in ("walk", "run")
         ]  # fmt: skip
 
@@ -52,7 +52,10 @@ def test_tasks_and_algorithms_share_a_dataset_and_settings_do_not(make_record):
     assert sorted(len(one.records) for one in found) == [1, 1, 1, 4]
     assert len({one.slug for one in found}) == 4
     (shared,) = [one for one in found if len(one.records) == 4]
-    assert [(task, one) for task, one, _ in shared.labelled] == [("run", "walker/run/cudc-seed1-v0"), ("walk", "walker/walk/cudc-seed1-v0")]
+    assert [(task, one) for task, one, _ in shared.labelled] == [
+        ("run", "walker/run/cudc-seed1-v0"),
+        ("walk", "walker/walk/cudc-seed1-v0"),
+    ]
 
 
 def test_commands_make_it_again_under_its_own_name(make_record):
@@ -71,12 +74,12 @@ def test_a_dataset_that_is_here_is_measured(local, tmp_path):
     found, remarks = find_local([dataset], tmp_path)
     assert remarks == []
     one = found[dataset.slug]
-    assert (one.id, one.manifest) == ("walker/cudc-v0", read_manifest("walker/cudc-v0"))
+    assert (one.id, one.manifest) == ("walker/cudc-smoke-v0", read_manifest("walker/cudc-smoke-v0"))
     # Episodes are equally long, so that the mean over trajectories is that over steps; rewards were computed when it was labelled.
     for task in ("stand", "walk", "run", "flip"):
-        expected = cudc_bench.load_transitions(f"walker/{task}/cudc-v0").rewards.mean()
+        expected = cudc_bench.load_transitions(f"walker/{task}/cudc-smoke-v0").rewards.mean()
         assert one.quality.rewards[task].mean == pytest.approx(expected, rel=1e-5)
-    assert one.quality.coverage.coverage_cells == cudc_bench.coverage("walker/cudc-v0").coverage_cells
+    assert one.quality.coverage.coverage_cells == cudc_bench.coverage("walker/cudc-smoke-v0").coverage_cells
     assert set(one.figures) == {"density", "k", "losses", "representation"}
 
 
@@ -105,18 +108,18 @@ def test_what_was_measured_is_kept_until_something_changes(local, tmp_path, monk
 
 @pytest.mark.parametrize("changed", [{"dataset_fingerprint": "b" * 64}, {"dataset_id": "walker/walk/gone-v0"}, {"dataset_id": "../../x"}])
 def test_only_the_very_data_of_the_records_are_measured(smoke, make_record, tmp_path, changed):
-    fingerprint = read_manifest("walker/walk/cudc-v0").fingerprint
-    here = {"dataset_id": "walker/walk/cudc-v0", "dataset_fingerprint": fingerprint}
+    fingerprint = read_manifest("walker/walk/cudc-smoke-v0").fingerprint
+    here = {"dataset_id": "walker/walk/cudc-smoke-v0", "dataset_fingerprint": fingerprint}
     assert find_local(of(make_record(**here | changed)), tmp_path) == ({}, [])
 
 
 def test_a_damaged_dataset_is_a_line_and_stops_nothing(local, smoke, tmp_path):
-    path = smoke / "walker" / "cudc-v0" / "data" / "main_data.hdf5"
+    path = smoke / "walker" / "cudc-smoke-v0" / "data" / "main_data.hdf5"
     path.write_bytes(path.read_bytes()[:5000])
     found, remarks = find_local(of(*local()), tmp_path)
     assert found == {}
     assert len(remarks) == 1
-    assert "walker/cudc-v0" in remarks[0]
+    assert "walker/cudc-smoke-v0" in remarks[0]
 
 
 def test_its_page_shows_what_was_measured(local, save, tmp_path):
@@ -128,7 +131,7 @@ def test_its_page_shows_what_was_measured(local, save, tmp_path):
         assert f'src="{dataset.slug}.{name}.svg"' in page
         assert (output / "datasets" / f"{dataset.slug}.{name}.svg") in report.files
     assert "was not measured" not in page
-    manifest = read_manifest("walker/cudc-v0")
+    manifest = read_manifest("walker/cudc-smoke-v0")
     assert manifest.created in page
     measures = json.loads((output / "datasets" / "measures.json").read_text())["measures"]
     assert set(measures) == {manifest.fingerprint}
