@@ -26,7 +26,7 @@ def leaderboard(
     """Turn run records into tables, learning curves and a static site."""
     from rich.console import Console
 
-    from cudc_bench.execution.progress import echo
+    from cudc_bench.execution.progress import echo, warn
 
     from . import api
     from .show import terminal
@@ -43,7 +43,7 @@ def leaderboard(
         screen.print(terminal.of_study(study))
         screen.print()
     for problem in report.problems:
-        echo(f"problem: {problem}")
+        warn(f"problem: {problem}")
     for missing in report.missing:
         echo(f"missing: {missing}")
     for file in report.files:
@@ -62,7 +62,7 @@ def submit(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Check somebody else's records and add them to ours, marked as theirs."""
-    from cudc_bench.execution.progress import echo
+    from cudc_bench.execution.progress import echo, warn
 
     from .intake.submit import RefusedError
     from .intake.submit import submit as run
@@ -73,7 +73,7 @@ def submit(
         if len(error.problems) == 1:
             raise
         for problem in error.problems:
-            echo(f"problem: {problem}")
+            warn(f"problem: {problem}")
         raise UsageError(f"nothing was added: there are {len(error.problems)} problems.") from None
     for remark in received.remarks:
         echo(f"note: {remark}")

@@ -23,7 +23,7 @@ from cudc_bench.data.writer import Episode, write_episodes
 from cudc_bench.envs import Domain, check_domain, check_tasks
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
-from cudc_bench.execution.progress import Advance, bars, echo
+from cudc_bench.execution.progress import Advance, bars, echo, warn
 from cudc_bench.files import check_folder, check_path
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.seeds import check_seeds
@@ -204,7 +204,7 @@ def _faults(
     if not sound:  # it is not the files, but what they are taken for
         return f"{_message(*found[0])} None of the first {len(found)} files fits."
     for file, one in found:
-        echo(_message(file, one))
+        warn(_message(file, one))
     count = f"{len(found)}{' or more' if len(found) == _MOST_FAULTS else ''} of {len(chosen):,}"
     return f"{count} files do not fit, from '{found[0][0].path}' to '{found[-1][0].path.name}', each named above; fetch them again."
 

@@ -25,7 +25,7 @@ from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.parallel import worker_count
-from cudc_bench.execution.progress import Advance, echo
+from cudc_bench.execution.progress import Advance, echo, warn
 from cudc_bench.execution.runlog import open_log
 from cudc_bench.files import check_file, remove_empty, unwritable
 from cudc_bench.learning.bf16 import echo_if_slower
@@ -120,7 +120,7 @@ def _wanting(methods: Sequence[str] | None, domain: str, profile: Profile, setti
     if methods:
         kinds = {name: plugins.load("collectors", name) for name in methods}
     else:
-        kinds = plugins.load_sound("collectors", lambda error: echo(f"left out: {error}"))
+        kinds = plugins.load_sound("collectors", lambda error: warn(f"left out: {error}"))
     configured = {name: (kind, kind.configure(domain, profile.collect, settings)) for name, kind in kinds.items()}
     wanting = [name for name, (kind, config) in configured.items() if kind.measured_by_pilot(config) is not None]
     if methods and (others := [name for name in methods if name not in wanting]):

@@ -5,18 +5,20 @@ Nothing heavy is imported before a command runs, so that ``--help`` answers at o
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import wraps
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
 from cudc_bench import plugins
 from cudc_bench.errors import DEBUG, CudcBenchError, RunError, finishing, traceback_of, wants_traceback
 from cudc_bench.execution.interrupts import Interrupted, Terminated, tidying_up
+from cudc_bench.execution.progress import QUIET
 from cudc_bench.execution.streams import open_streams
 from cudc_bench.text import shortened, visible
 
@@ -41,11 +43,30 @@ def _leaving_well(command: Callable[..., None]) -> Callable[..., None]:
     def run(*arguments: Any, **options: Any) -> None:
         try:
             with finishing():
-                command(*arguments, **options)
+                command(*arguments, **{name: value for name, value in options.items() if name not in added})
         except (Interrupted, Terminated) as error:
             raise _Left(error) from None
 
+    own = inspect.signature(command, eval_str=True).parameters
+    taken = {*own, *(name for one in own.values() for name in _spellings(one))}
+    added = {name: kind for name, kind in _EVERYWHERE.items() if not {name, *_spelled(get_args(kind)[1])} & taken}
+    more = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind) for name, kind in added.items()]
+    # Typer reads the options from one or the other.
+    run.__signature__ = inspect.Signature([*own.values(), *more])  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in (*own.values(), *more) if one.annotation is not one.empty}
     return run
+
+
+def _spellings(parameter: inspect.Parameter) -> Iterator[str]:
+    """How an option is written; nothing for what is none."""
+    for one in (parameter.default, *getattr(parameter.annotation, "__metadata__", ())):
+        yield from _spelled(one)
+
+
+def _spelled(information: Any) -> list[str]:
+    # Inside of an annotation the first name stands where the default would.
+    names = (getattr(information, "default", None), *(getattr(information, "param_decls", None) or ()))
+    return [name for name in names if isinstance(name, str) and name.startswith("-")]
 
 
 def _show_version(wanted: bool) -> None:
@@ -61,18 +82,36 @@ def _show_tracebacks(wanted: bool) -> None:
         os.environ[DEBUG] = "1"
 
 
+def _say_less(wanted: bool) -> None:
+    if wanted:
+        os.environ[QUIET] = "1"
+
+
+DebugOption = Annotated[
+    bool, typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help=f"Show where an error came from, as {DEBUG}=1 does.")
+]
+QuietOption = Annotated[
+    bool,
+    typer.Option("--quiet", "-q", callback=_say_less, is_eager=True, help=f"Only results, errors and problems, as {QUIET}=1 does."),
+]
+# What is given before a command or behind it; their callbacks do all that they do.
+_EVERYWHERE: Mapping[str, Any] = {"debug": DebugOption, "quiet": QuietOption}
+
+
 def _root(
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help=f"Show where an error came from, as {DEBUG}=1 does.")
-    ] = False,
+    debug: DebugOption = False,
+    quiet: QuietOption = False,
 ) -> None:
-    """Collect data without rewards, relabel it, train offline on it, and compare."""
+    """Collect data without rewards, relabel it, train offline on it, and compare. --debug and --quiet may also stand behind a command."""
 
 
 def build_app() -> typer.Typer:
     """The application with every installed sub-command, ours first."""
-    app = typer.Typer(name="cudc-bench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    app = typer.Typer(
+        name="cudc-bench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )  # fmt: skip
     app.callback()(_root)
     names = plugins.names("commands")
     for name in sorted(names, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)):

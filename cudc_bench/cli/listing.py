@@ -19,7 +19,7 @@ def list_command(
     from rich.console import Console
 
     from cudc_bench.artefacts.records import REFERENCE, record_files, visible_files
-    from cudc_bench.execution.progress import echo
+    from cudc_bench.execution.progress import warn
     from cudc_bench.files import check_folder
 
     broken: list[str] = []
@@ -36,7 +36,7 @@ def list_command(
     records, references = len(record_files(folder, left_out)), len(visible_files(folder, REFERENCE))
     console.print(f"Records in {folder}: {records}; references: {references}", markup=False)
     for line in broken:
-        echo(f"left out: {line}")
+        warn(f"left out: {line}")
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -22,7 +22,7 @@ def verify(
     from cudc_bench.artefacts.manifest import read_manifest
     from cudc_bench.data.verification import SAMPLE, draw_seed
     from cudc_bench.data.verification import verify as run
-    from cudc_bench.execution.progress import echo
+    from cudc_bench.execution.progress import warn
 
     if every and (sample is not None or seed is not None):
         raise UsageError(f"--all and {'--seed' if sample is None else '--sample'} contradict each other; give one of them.")
@@ -42,7 +42,7 @@ def verify(
             failed.append(error)
     if len(failed) > 1:
         for failure in failed:
-            echo(str(failure))
+            warn(str(failure))
         raise RunError(f"{len(failed):,} of {len(wanted):,} datasets fail; what is wrong with each stands above.")
     if failed:
         raise failed[0]

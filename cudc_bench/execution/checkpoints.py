@@ -23,7 +23,7 @@ import torch
 
 from cudc_bench.errors import UnusableError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY
-from cudc_bench.execution.progress import echo
+from cudc_bench.execution.progress import warn
 from cudc_bench.files import unwritable, write_atomically
 
 KEPT = 2
@@ -124,7 +124,7 @@ class Checkpoints:
             torch.set_num_threads(found["threads"])
             return int(found["step"])
         if self._files():
-            echo(f"no checkpoint in {self.folder} can be used any more: the run starts over")
+            warn(f"no checkpoint in {self.folder} can be used any more: the run starts over")
         return 0
 
     def _whole(self, device: torch.device | str) -> Iterator[dict[str, Any]]:

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from cudc_bench.errors import RunError, UsageError, finishing
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
-from cudc_bench.execution.progress import Advance, bar_if_long, bars, echo
+from cudc_bench.execution.progress import Advance, bar_if_long, bars, warn
 from cudc_bench.execution.workers import Died, Ended, Notify, Worker
 
 T = TypeVar("T")
@@ -185,7 +185,7 @@ def _run_in_processes(
         else:
             errors[index] = news.error
             if not isinstance(news.error, interrupts.Interrupted) and crew.is_busy:
-                echo(f"{job.description} failed, the others that have begun go on: {news.error}")
+                warn(f"{job.description} failed, the others that have begun go on: {news.error}")
 
     with interrupts.leaving_gracefully():
         crew.work(next_task, on_news)

@@ -1,7 +1,11 @@
-"""What people see while work is done: messages and progress bars on standard error, results on standard output."""
+"""What people see while work is done: messages and progress bars on standard error, results on standard output.
+
+Who wants to be left alone (``--quiet``) gets neither bars nor notes (:func:`echo`), but what is wrong (:func:`warn`), and all results.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
+QUIET = "CUDC_BENCH_QUIET"  # the environment variable of --quiet; processes that are started here hear of it, too
 Advance = Callable[[int], None]
 Listener = Callable[[int, int], None]
 _listener: Listener | None = None  # who else wants to know
@@ -29,8 +34,24 @@ def console() -> Console:
     return Console(stderr=True, highlight=False)
 
 
+def is_quiet() -> bool:
+    """Whether nobody wants bars and notes: ``CUDC_BENCH_QUIET`` is neither empty nor 0."""
+    return os.environ.get(QUIET, "") not in {"", "0"}
+
+
+def draws_bars() -> bool:
+    """Whether there is a terminal for bars, and somebody who wants them."""
+    return console().is_terminal and not is_quiet()
+
+
 def echo(message: str) -> None:
-    """Print one line for people; text in it is never taken for markup, nor for what drives a terminal."""
+    """Print a note for people on one line, unless they want none; text in it is never taken for markup, nor for what drives a terminal."""
+    if not is_quiet():
+        warn(message)
+
+
+def warn(message: str) -> None:
+    """Print one line that nobody should miss: what failed, is wrong or was left out; otherwise as :func:`echo`."""
     console().print(visible(message), markup=False, soft_wrap=True)
 
 
@@ -77,7 +98,7 @@ def bars(tasks: list[tuple[str, int]], unit: str) -> Iterator[list[Advance]]:
     Yields:
         For each task, a function that is told by how much it advanced.
     """
-    if not console().is_terminal:
+    if not draws_bars():
         yield _notifying([_Lines(description, total, unit).advance for description, total in tasks], sum(total for _, total in tasks))
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

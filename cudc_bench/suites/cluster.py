@@ -164,7 +164,7 @@ def _drive(
                 write_atomically(log, news.log)
             why = news.ended.why or "somebody asked its process to leave."
             queue.fail(job, why)
-            display.line(f"failed {job.name}: {why} See {log}")
+            display.failed(job, f"{why} See {log}")
 
     with interrupts.leaving_gracefully():
         while tasks or pilots:

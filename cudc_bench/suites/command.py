@@ -46,7 +46,7 @@ def run(
     """Run a whole study: collect, relabel, train and compare."""
     from rich.console import Console
 
-    from cudc_bench.execution.progress import echo
+    from cudc_bench.execution.progress import echo, warn
 
     from .api import check_keep, make_cluster, prepare, run_prepared, shared_root
     from .cluster import RETRIES
@@ -70,12 +70,12 @@ def run(
         echo(f"removed {len(found.removed)} datasets; how to make them again is in {ready.common.folder / 'datasets'} and in each record")
     if found.leaderboard is not None:
         for problem in found.leaderboard.problems:
-            echo(f"problem: {problem}")
+            warn(f"problem: {problem}")
         for file in found.leaderboard.files:
             print(file)
     if found.failed:
         for line in found.failed:
-            echo(f"failed: {line}")
+            warn(f"failed: {line}")
         raise RunError(f"{found.lacking} of {found.jobs} jobs are not done, see above; the same command tries them again.")
     echo(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
 

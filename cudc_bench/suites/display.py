@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from cudc_bench.execution.progress import console, echo
+from cudc_bench.execution.progress import console, draws_bars, echo, warn
 
 from .jobs import Job
 from .queue import Queue
@@ -75,7 +75,7 @@ class Display:
     @contextmanager
     def shown(self) -> Iterator[None]:
         """Show the table for the time of this context, where there is a terminal for it."""
-        if not console().is_terminal:
+        if not draws_bars():
             yield
             return
         from rich.live import Live
@@ -100,6 +100,11 @@ class Display:
         """Say a line above the table."""
         self._said = time.monotonic()
         echo(message)
+
+    def failed(self, job: Job, why: str) -> None:
+        """Say above the table that a job failed."""
+        self._said = time.monotonic()
+        warn(f"failed {job.name}: {why}")
 
     def summary(self, running: Mapping[Job, Running]) -> str:
         """How far it is, on one line."""

@@ -119,7 +119,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         else:
             log = logs / f"{job.slug}.log"
             queue.fail(job, ended.why)
-            display.line(f"failed {job.name}: {ended.why} See {log}")
+            display.failed(job, f"{ended.why} See {log}")
 
     if retention is not None:
         retention.job_done(None, display.line)

@@ -16,7 +16,7 @@ from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.locks import locked
-from cudc_bench.execution.progress import Advance, echo
+from cudc_bench.execution.progress import Advance, echo, warn
 from cudc_bench.execution.runlog import LogTarget, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.bf16 import echo_if_slower
@@ -155,7 +155,7 @@ def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, re
     except BrokenDownError:
         if len(stack.runs) == 1:
             raise
-        echo(f"{stack.label}: one of them broke down, so that each is trained alone")
+        warn(f"{stack.label}: one of them broke down, so that each is trained alone")
         errors = []
         for run in stack.runs:
             advance(-done)
