@@ -39,12 +39,13 @@ from cudc_bench.learning.cpu_graphs import RecordedGraph
 from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updater
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
+from cudc_bench.settings.collect_config import CollectConfig
 
 from .base import Collector, Sizes
 from .ddpg import DDPG
 from .representation import effective_rank, spread
 from .running.dataset_sink import DatasetSink
-from .running.loop import CollectConfig, run_collection
+from .running.loop import run_collection
 
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
 SPACES = {

@@ -13,19 +13,20 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Any, get_args, get_type_hints
 
-from pydantic import BaseModel, TypeAdapter
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from typer.models import ArgumentInfo, OptionInfo
 
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.settings import described
+from cudc_bench.settings.collect_config import CollectConfig
+from cudc_bench.settings.described import default_text
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 from cudc_bench.settings.profiles import PROFILES, schedules
 
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
-_LARGEST = 10**10  # of a whole number: beyond any run (see ``cudc_bench.settings.config``)
-_WORDS = {"integer": "integer", "number": "float", "string": "string", "boolean": "boolean"}
 Rows = Iterable[Sequence[str]]
 
 
@@ -57,81 +58,15 @@ def markdown(docstring: str) -> str:
 
 def prose(kind: type) -> str:
     """A class's docstring without its sections (attributes and so on); empty where it has none of its own."""
-    return markdown(re.split(r"^(?:Attributes|Class attributes|Args|Raises):$", _own_docstring(kind), flags=re.MULTILINE)[0].strip())
+    return markdown(described.prose(described.own_docstring(kind)))
 
 
 def attributes(kind: type) -> dict[str, str]:
     """What the "Attributes:" sections of a class and of those that it inherits from say of each name."""
-    found: dict[str, str] = {}
-    for one in reversed(kind.__mro__):
-        found |= _attributes(_own_docstring(one))
-    return found
-
-
-def _own_docstring(kind: type) -> str:
-    found = vars(kind).get("__doc__") or ""
-    # What a dataclass without a docstring gets is its signature.
-    return "" if found.startswith(f"{kind.__name__}(") else inspect.cleandoc(found)
-
-
-def _attributes(docstring: str) -> dict[str, str]:
-    section = re.search(r"^Attributes:\n((?:[ \n].*\n?)+)", docstring, re.MULTILINE)
-    if section is None:
-        return {}
-    found: dict[str, str] = {}
-    for entry in re.split(r"\n(?=    \S)", section[1].rstrip()):
-        # Entries that belong together share a line: "alpha: first. beta: second."
-        for part in re.split(r"[.;] (?=`{0,2}\w+`{0,2}(?:, \w+)*: )", " ".join(entry.split())):
-            names, _, meaning = part.partition(": ")
-            for name in names.replace("`", "").split(", "):
-                found[name] = markdown(meaning.rstrip("."))
-    return found
+    return {name: markdown(meaning) for name, meaning in described.attributes(kind).items()}
 
 
 # Hyperparameters
-
-
-def described(hint: Any) -> tuple[str, str]:
-    """The type of a value and the range that it may have, from its annotation as pydantic understands it."""
-    return _described(TypeAdapter(hint).json_schema())
-
-
-def _described(schema: Mapping[str, Any]) -> tuple[str, str]:
-    if "enum" in schema or "const" in schema:
-        values = schema.get("enum", [schema.get("const")])
-        return "choice", ", ".join(f"`{value}`" if value != "" else "empty" for value in values)
-    if "anyOf" in schema:
-        parts = [_described(one) for one in schema["anyOf"] if one.get("type") != "null"]
-        optional = " or none" if len(parts) < len(schema["anyOf"]) else ""
-        return " or ".join(kind for kind, _ in parts) + optional, "; ".join(dict.fromkeys(limits for _, limits in parts if limits))
-    if schema.get("type") == "array":
-        if "prefixItems" in schema:
-            kind, limits = _described(schema["prefixItems"][0])
-            return f"{len(schema['prefixItems'])} of: {kind}", limits
-        kind, limits = _described(schema.get("items", {}))
-        return f"list of: {kind}", limits
-    return _WORDS.get(schema.get("type", ""), schema.get("type", "any")), _limits(schema)
-
-
-def _limits(schema: Mapping[str, Any]) -> str:
-    found = []
-    for key, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<")):
-        if key in schema and schema[key] != _LARGEST:
-            found.append(f"{sign} {schema[key]:g}")
-    return ", ".join(found)
-
-
-def default_text(value: Any) -> str:
-    """A default as one writes it after ``--set name=``."""
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    if isinstance(value, tuple):
-        return f"`[{','.join(str(one) for one in value)}]`"
-    if isinstance(value, int):
-        return f"`{value:_}`" if value >= 10_000 else f"`{value}`"
-    return f"`{value}`" if isinstance(value, str) else f"`{value:g}`"
 
 
 def hyperparameters(config: type, leave_out: Iterable[type] = ()) -> str:
@@ -141,13 +76,12 @@ def hyperparameters(config: type, leave_out: Iterable[type] = ()) -> str:
         config: a frozen dataclass.
         leave_out: configurations that stand elsewhere on the page; fields that are theirs, with the same default, are not repeated.
     """
-    hints, meanings = get_type_hints(config, include_extras=True), attributes(config)
     elsewhere = {(field.name, field.default) for one in leave_out for field in dataclasses.fields(one)}
-    rows = []
-    for field in dataclasses.fields(config):
-        if (field.name, field.default) not in elsewhere:
-            kind, limits = described(hints[field.name])
-            rows.append((f"`{field.name}`", kind, default_text(field.default), limits, meanings.get(field.name, "")))
+    rows = [
+        (f"`{one.name}`", one.kind, default_text(one.default), one.allowed, markdown(one.meaning))
+        for one in described.hyperparameters(config)
+        if (one.name, one.default) not in elsewhere
+    ]
     return table(("name", "type", "default", "allowed", "meaning"), rows) if rows else ""
 
 
@@ -207,7 +141,7 @@ def profiles() -> str:
     """What each profile changes, for collection and for training."""
     text = ""
     for stage, configs in (
-        ("collect", [_collect_config(), *configurations("collectors")]),
+        ("collect", [CollectConfig, *configurations("collectors")]),
         ("evaluate", [EvaluateConfig, *configurations("evaluators")]),
     ):
         profiles = [dict(getattr(one, stage)) for one in PROFILES.values()]
@@ -225,13 +159,6 @@ def profiles() -> str:
             rows.append((f"`{name}`", *(own if value is None else default_text(value) for value in values)))
         text += f"\n### Values for `{stage}`\n\n" + table(("hyperparameter", *(f"`{name}`" for name in PROFILES)), rows)
     return text
-
-
-def _collect_config() -> type:
-    # A stage is never imported by name: whoever registers ``collect`` has its loop's configuration beside it.
-    module = plugins.target("stages", "collect")[0].rsplit(".", 1)[0]
-    found: type = import_module(f"{module}.loop").CollectConfig
-    return found
 
 
 def departures(kind: str) -> str:
@@ -289,7 +216,7 @@ def _reference(found: Mapping[str, Any]) -> tuple[str, str]:
         return f"mapping of string to {kind}", ""
     if "pattern" in found:
         return "string", f"Fits `{found['pattern']}`"
-    kind, limits = _described(found)
+    kind, limits = described.of_schema(found)
     return kind, limits if kind == "choice" else limits and f"Allowed: {limits}"
 
 
@@ -322,7 +249,7 @@ def _command(title: str, usage: str, function: Any) -> str:
     hints, arguments, options = get_type_hints(function, include_extras=True), [], []
     for parameter in inspect.signature(function).parameters.values():
         value, information = get_args(hints[parameter.name])[:2]
-        kind, limits = described(value)
+        kind, limits = described.described(value)
         if isinstance(information, ArgumentInfo):
             shown = str(information.metavar or parameter.name.upper())
             many, optional = kind.startswith("list"), parameter.default is not inspect.Parameter.empty
@@ -393,7 +320,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "python": python,
     "domains": domains,
     "profiles": profiles,
-    "collect-loop": lambda: hyperparameters(_collect_config()),
+    "collect-loop": lambda: hyperparameters(CollectConfig),
     "evaluate-loop": lambda: hyperparameters(EvaluateConfig),
     "online-loop": lambda: hyperparameters(OnlineConfig),
     "collectors": lambda: "\n".join(_of_methods("collectors")),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -20,30 +19,9 @@ from cudc_bench.learning.checks import member_rows
 from cudc_bench.learning.learner import set_precision
 from cudc_bench.learning.replay import Batch
 from cudc_bench.runs.interaction import EpisodeStore, Interaction
-from cudc_bench.settings.config import ADDED_LATER, Config, NonNegativeInt, PositiveInt, Precision
-from cudc_bench.settings.profiles import PAPER_STEPS
+from cudc_bench.settings.collect_config import CollectConfig
 
 from ..base import Collector
-
-
-@dataclass(frozen=True)
-class CollectConfig(Config):
-    """How much is collected and how often the method learns (paper, appendix; URLB).
-
-    Attributes:
-        steps: environment steps, all of which form the dataset.
-        seed_steps: steps of uniformly random actions before the first update.
-        update_every: environment steps for each update.
-        measure_every: updates between two lines of diagnostics, which is ``measure_every * update_every`` environment steps, whether the
-            method learns or not.
-        precision: of wide matrix products in updates: float32, bf16, or TF32 on CUDA.
-    """
-
-    steps: PositiveInt = PAPER_STEPS
-    seed_steps: NonNegativeInt = 4_000
-    update_every: PositiveInt = 2
-    measure_every: PositiveInt = 1_000
-    precision: Precision = field(default="float32", metadata=ADDED_LATER)
 
 
 class Sink(Protocol):

@@ -12,11 +12,11 @@ from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError
 from cudc_bench.execution.progress import echo
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import as_dict, build, changed, check_settings, config_hash
 from cudc_bench.settings.profiles import Profile, resolve_profile
 
 from ..base import Sizes
-from .loop import CollectConfig
 from .thresholds import find_threshold
 
 

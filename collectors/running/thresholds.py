@@ -14,9 +14,8 @@ from cudc_bench.artefacts.manifest import Pilot
 from cudc_bench.errors import RunError
 from cudc_bench.execution.locks import locked
 from cudc_bench.files import check_file, read_limited, unwritable, write_atomically
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import as_dict, config_hash
-
-from .loop import CollectConfig
 
 VARIABLE = "CUDC_BENCH_THRESHOLDS"
 OURS = Path(__file__).parent.with_name("thresholds.json")

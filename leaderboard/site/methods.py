@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import ast
 import inspect
-import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError
-
-_DEPTH = 8  # of base classes and of names that modules take from one another
-_LARGEST = 1_000_000  # bytes of a source file
+from cudc_bench.settings.sources import ancestry
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ def describe(name: str) -> Method:
         return Method(name)
     texts: list[str] = []
     values: dict[str, str] = {}
-    for kind in _ancestry(module, attribute):
+    for kind in (one.node for one in ancestry(module, attribute)):
         texts += filter(None, [ast.get_docstring(kind)])
         for node in kind.body:
             match node:
@@ -69,63 +64,3 @@ def _paragraphs(docstring: str) -> tuple[str, ...]:
             break
         found.append(block.strip("\n"))
     return tuple(filter(None, found))
-
-
-def _ancestry(module: str, name: str, depth: int = _DEPTH) -> Iterator[ast.ClassDef]:
-    """A class and its bases, as far as their sources can be found, nearest first."""
-    tree = _tree(module)
-    if tree is None or depth == 0:
-        return
-    for node in reversed(tree.body):
-        match node:
-            case ast.ClassDef(name=found) if found == name:
-                yield node
-                for base in node.bases:
-                    if isinstance(base, ast.Name) and base.id != name:
-                        yield from _ancestry(module, base.id, depth - 1)
-                return
-            case ast.Assign(targets=[ast.Name(id=found)], value=ast.Name(id=other)) if found == name != other:
-                yield from _ancestry(module, other, depth - 1)
-                return
-            case ast.ImportFrom(names=aliases):
-                for alias in aliases:
-                    if (alias.asname or alias.name) == name:
-                        yield from _ancestry(_absolute(module, node), alias.name, depth - 1)
-                        return
-
-
-def _absolute(module: str, node: ast.ImportFrom) -> str:
-    if not node.level:
-        return node.module or ""
-    parts = module.split(".")
-    path = _file(module)
-    package = parts if path is not None and path.name == "__init__.py" else parts[:-1]
-    return ".".join([*package[: len(package) - node.level + 1], *([node.module] if node.module else [])])
-
-
-@cache
-def _tree(module: str) -> ast.Module | None:
-    path = _file(module)
-    try:
-        if path is None or path.stat().st_size > _LARGEST:
-            return None
-        return ast.parse(path.read_bytes())
-    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
-        return None
-
-
-def _file(module: str) -> Path | None:
-    """Where a module's source is. Unlike ``importlib.util.find_spec`` this does not import its packages."""
-    path: list[str] | None = None
-    spec = None
-    parts = module.split(".")
-    for index in range(len(parts)):
-        name = ".".join(parts[: index + 1])
-        try:
-            spec = next(filter(None, (finder.find_spec(name, path) for finder in sys.meta_path if hasattr(finder, "find_spec"))), None)
-        except (ImportError, AttributeError, ValueError, OSError):
-            return None
-        if spec is None:
-            return None
-        path = list(spec.submodule_search_locations or [])
-    return Path(spec.origin) if spec is not None and spec.origin and spec.origin.endswith(".py") else None

@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from cudc_bench.collectors.base import Sizes
-from cudc_bench.collectors.running.loop import CollectConfig, run_collection
+from cudc_bench.collectors.running.loop import run_collection
 from cudc_bench.envs import Domain
 from cudc_bench.learning.replay import Batch
 from cudc_bench.runs import interaction
+from cudc_bench.settings.collect_config import CollectConfig
 
 from .helpers import make
 

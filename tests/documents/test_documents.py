@@ -20,6 +20,7 @@ from cudc_bench import plugins
 from cudc_bench.cli.app import build_app
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import check_settings, parse_settings
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 from cudc_bench.settings.profiles import PROFILES
@@ -91,8 +92,7 @@ def check_command(words: list[str]) -> None:
         assert task == "all" or tasks is None or task in tasks, f"{domain} has no task {task}"
     if values.get("settings") and list(values["settings"]) != ["name=value"]:
         kinds = [plugins.load(kind, one).config_class for kind in ("collectors", "evaluators") for one in plugins.names(kind)]
-        loop = importlib.import_module(plugins.target("stages", "collect")[0].rsplit(".", 1)[0] + ".loop").CollectConfig
-        check_settings(parse_settings(values["settings"]), [*kinds, EvaluateConfig, OnlineConfig, loop])
+        check_settings(parse_settings(values["settings"]), [*kinds, EvaluateConfig, OnlineConfig, CollectConfig])
 
 
 def check_other(words: list[str]) -> None:

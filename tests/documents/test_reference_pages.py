@@ -17,6 +17,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import Reference
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import Finite, PositiveInt, UnitInterval, build
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
 
@@ -48,7 +49,7 @@ class Shown:
 
 
 def configurations() -> Iterator[type]:
-    yield from (EvaluateConfig, OnlineConfig, generate._collect_config())
+    yield from (EvaluateConfig, OnlineConfig, CollectConfig)
     for kind in ("collectors", "evaluators"):
         yield from generate.configurations(kind)
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from cudc_bench import plugins
 from cudc_bench.cli.options import parse_names, parse_tasks
-from cudc_bench.collectors.running.loop import CollectConfig
 from cudc_bench.errors import UsageError
 from cudc_bench.files import check_folder
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import (
     NonNegativeFloat,
     NonNegativeInt,

@@ -10,9 +10,9 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.collectors.base import Sizes
-from cudc_bench.collectors.running.loop import CollectConfig
 from cudc_bench.envs import DOMAINS
 from cudc_bench.errors import UsageError
+from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.config import as_dict, build, config_hash, field_names
 from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones
 from cudc_bench.settings.profiles import PROFILES, Profile, resolve_device, resolve_profile, schedules

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from cudc_bench import plugins
-from cudc_bench.leaderboard.site import methods
 from cudc_bench.leaderboard.site.methods import describe
+from cudc_bench.settings import sources
 
 Install = Callable[[str, str], None]
 
@@ -38,7 +38,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
 
 def forget() -> None:
-    for cached in (plugins._points, describe, methods._tree):
+    for cached in (plugins._points, describe, sources.tree):
         cached.cache_clear()
 
 
