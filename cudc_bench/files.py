@@ -251,3 +251,13 @@ def remove_empty(folder: Path) -> None:
     for place, _, _ in os.walk(folder, topdown=False):
         with suppress(OSError):
             os.rmdir(place)
+
+
+def bytes_below(folder: Path) -> int:
+    """Bytes of the files below a folder; links are not followed, and what vanishes meanwhile has none."""
+    found = 0
+    for place, _, files in os.walk(folder):
+        for name in files:
+            with suppress(OSError):
+                found += os.lstat(os.path.join(place, name)).st_size
+    return found

@@ -31,6 +31,14 @@ def shortened(text: str) -> str:
     return text if len(text) <= _HEAD + _TAIL else f"{text[:_HEAD]} … {text[-_TAIL:]}"
 
 
+def size(count: float) -> str:
+    """Bytes for people."""
+    for unit, large in (("GB", 1e9), ("MB", 1e6)):
+        if count >= large:
+            return f"{count / large:,.1f} {unit}"
+    return f"{count / 1e3:,.0f} kB"
+
+
 def escape_markdown(text: str) -> str:
     """Text that Markdown shows as it is, inside table cells too."""
     return re.sub(r"([\\`*_{}\[\]<>&#|~$!@])", r"\\\1", plain(text))

@@ -28,6 +28,12 @@ from cudc_bench.settings.profiles import PROFILES, schedules
 
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 Rows = Iterable[Sequence[str]]
+# What commands print with ``--json``, as the module and the name of its model.
+DOCUMENTS = (
+    ("list", "cudc_bench.cli.documents", "Listing"),
+    ("verify", "cudc_bench.cli.documents", "VerifyDocument"),
+    ("doctor", "cudc_bench.cli.documents", "DoctorDocument"),
+)
 
 
 def fill(source: str) -> str:
@@ -228,6 +234,27 @@ def _models(module: str, *names: str) -> Callable[[], str]:
     return made
 
 
+def _documents() -> str:
+    """The documents of ``--json``, and what is in them."""
+    return "\n".join(f"## {command}\n\n{schema(*_with_parts(getattr(import_module(module), name)))}" for command, module, name in DOCUMENTS)
+
+
+def _with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """A model, and then those of its fields, each once."""
+    found = [model]
+    for one in found:
+        for field in one.model_fields.values():
+            found += [part for part in _models_in(field.annotation) if part not in found]
+    return found
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for one in get_args(annotation):
+        yield from _models_in(one)
+
+
 # The command line
 
 
@@ -327,6 +354,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "evaluators": lambda: "\n".join(_of_methods("evaluators")),
     "departures-of-collectors": lambda: departures("collectors"),
     "departures-of-evaluators": lambda: departures("evaluators"),
+    "json": _documents,
     "manifest": _models("cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Pilot"),
     "record": _models("cudc_bench.artefacts.records", "Record", "DatasetReference", "Evaluation", "TrainingMetrics", "Submission"),
     "reference": _models("cudc_bench.artefacts.references", "Reference", "ReferenceRun"),

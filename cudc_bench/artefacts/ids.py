@@ -10,18 +10,20 @@ from __future__ import annotations
 
 import os
 import re
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from cudc_bench.errors import UsageError
-from cudc_bench.files import check_path, environment
+from cudc_bench.files import LeftOut, check_folder, check_path, environment, walk
 from cudc_bench.settings.profiles import PROFILES
 
 _ID = re.compile(
     r"(?P<namespace>[a-z0-9_]{2,64}(?:/[a-z0-9_]{2,64}){0,3})/(?P<name>[a-z0-9](?:[a-z0-9_-]{0,98}[a-z0-9])?)-v(?P<version>0|[1-9]\d{0,5})"
 )
 _RULE = "lower-case letters, digits, '_' and '-', no folder called 'data', as in 'walker/cudc-v0' or 'walker/walk/cudc-seed2-v0'"
+
+_DEEPEST = 5  # folders below the root that the longest id has
 
 
 @dataclass(frozen=True)
@@ -106,3 +108,22 @@ def dataset_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path:
     """The folder of a dataset (which holds ``data/``), whether or not it exists."""
     checked = dataset_id if isinstance(dataset_id, DatasetId) else parse_id(dataset_id)
     return (root or datasets_root()).joinpath(*str(checked).split("/"))
+
+
+def stored_ids(root: Path | None = None, left_out: LeftOut | None = None) -> list[DatasetId]:
+    """The ids of all complete datasets below the root in the order of their names, ours or not, whether they can be read or not.
+
+    Args:
+        root: Minari's; links in it are followed, as Minari does.
+        left_out: told of each folder that cannot be read.
+    """
+    root = check_folder(root or datasets_root(), "the dataset root", writable=False)
+    found = []
+    for place, folders, names in walk(root, left_out, once=False):
+        if len(place.relative_to(root).parts) > _DEEPEST:
+            folders.clear()
+        if place.name == "data" and "metadata.json" in names:
+            # What has no id cannot be asked for; what begins with a dot is still being built.
+            with suppress(UsageError):
+                found.append(parse_id(place.parent.relative_to(root).as_posix()))
+    return sorted(found, key=lambda one: Path(str(one)))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
+from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.files import LeftOut, check_folder, read_limited, walk
+from cudc_bench.files import check_folder, read_limited
 
 KEY = "cudc_bench"
-_DEEPEST = 5  # folders below the root that the longest id has
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
 Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -238,25 +236,6 @@ def metadata_path(dataset_id: DatasetId | str, root: Path | None = None) -> Path
 def exists(dataset_id: DatasetId | str, root: Path | None = None) -> bool:
     """Whether anything stands at that id, ours or not."""
     return dataset_path(dataset_id, root).exists()
-
-
-def stored_ids(root: Path | None = None, left_out: LeftOut | None = None) -> list[DatasetId]:
-    """The ids of all complete datasets below the root in the order of their names, ours or not, whether they can be read or not.
-
-    Args:
-        root: Minari's; links in it are followed, as Minari does.
-        left_out: told of each folder that cannot be read.
-    """
-    root = check_folder(root or datasets_root(), "the dataset root", writable=False)
-    found = []
-    for place, folders, names in walk(root, left_out, once=False):
-        if len(place.relative_to(root).parts) > _DEEPEST:
-            folders.clear()
-        if place.name == "data" and "metadata.json" in names:
-            # What has no id cannot be asked for; what begins with a dot is still being built.
-            with suppress(UsageError):
-                found.append(parse_id(place.parent.relative_to(root).as_posix()))
-    return sorted(found, key=lambda one: Path(str(one)))
 
 
 def read_metadata(dataset_id: DatasetId | str, root: Path | None = None) -> dict[str, Any]:

@@ -30,6 +30,7 @@ LogOption = Annotated[str | None, typer.Option("--log", help="Also log the run t
 LogDirOption = Annotated[str, typer.Option("--log-dir", help="Folder of these logs.")]
 WorkersOption = Annotated[int | None, typer.Option("--workers", help="Processes on a CPU; one for each core by default.")]
 CheckpointEveryOption = Annotated[float, typer.Option("--checkpoint-every", min=0.0, help="Seconds between two checkpoints.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, for scripts.")]
 FreshOption = Annotated[bool, typer.Option("--fresh", help="Start over where a run was interrupted, instead of continuing it.")]
 
 

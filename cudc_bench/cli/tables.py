@@ -258,7 +258,7 @@ def _drawn_stacked(table: Table, width: int) -> Iterator[Text]:
         ]
         line = ""
         for fact in facts:
-            if line and width_of(f"{_INDENT}{line}, {fact}") > width:
+            if line and width_of(f"{_INDENT}{line}, {fact},") > width:
                 yield Text(f"{_INDENT}{line},", overflow="fold")
                 line = ""
             line = f"{line}, {fact}" if line else fact

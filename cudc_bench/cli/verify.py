@@ -50,8 +50,8 @@ def verify(
 
 def _all_of_ours() -> list[str]:
     """The ids of all datasets that this project made, damaged ones among them."""
-    from cudc_bench.artefacts.ids import datasets_root
-    from cudc_bench.artefacts.manifest import read_manifest, stored_ids
+    from cudc_bench.artefacts.ids import datasets_root, stored_ids
+    from cudc_bench.artefacts.manifest import read_manifest
 
     found = []
     for one in stored_ids():

@@ -23,11 +23,11 @@ import torch
 
 from cudc_bench.errors import UnusableError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY
+from cudc_bench.execution.interrupted import RUN, checkpoint_files, run_there
 from cudc_bench.execution.progress import warn
 from cudc_bench.files import unwritable, write_atomically
 
 KEPT = 2
-_RUN = "run.json"
 _SHARE = 0.02  # of a run's time that checkpoints may cost
 _NAMED = 4  # differences that a refusal names
 
@@ -64,9 +64,9 @@ class Checkpoints:
         Raises:
             UsageError: what is there is of a run with other settings; the message names the differences.
         """
-        if not self._files():
+        if not checkpoint_files(self.folder):
             return False
-        there = self._there()
+        there = run_there(self.folder)
         if there is None:
             return False
         if found := _differences(there, self._run):
@@ -91,12 +91,12 @@ class Checkpoints:
         content = io.BytesIO()
         torch.save({"run": self._run, "step": step, "seconds": self.seconds, "threads": torch.get_num_threads(), "state": state}, content)
         try:
-            if self._there() != self._run:
-                write_atomically(self.folder / _RUN, json.dumps(self._run, indent=1))
+            if run_there(self.folder) != self._run:
+                write_atomically(self.folder / RUN, json.dumps(self._run, indent=1))
             write_atomically(self.folder / f"{step:012d}.pt", content.getvalue())
             # Those of later steps are none of this run's, or damaged: it would have continued from there.
-            written = [path for path in self._files() if path.stem <= f"{step:012d}"]
-            for old in set(self._files()) - set(written[:KEPT]):
+            written = [path for path in checkpoint_files(self.folder) if path.stem <= f"{step:012d}"]
+            for old in set(checkpoint_files(self.folder)) - set(written[:KEPT]):
                 old.unlink(missing_ok=True)
         except OSError as error:
             raise unwritable(f"a checkpoint into {self.folder}", error) from None
@@ -123,12 +123,12 @@ class Checkpoints:
             self._earlier = float(found["seconds"])
             torch.set_num_threads(found["threads"])
             return int(found["step"])
-        if self._files():
+        if checkpoint_files(self.folder):
             warn(f"no checkpoint in {self.folder} can be used any more: the run starts over")
         return 0
 
     def _whole(self, device: torch.device | str) -> Iterator[dict[str, Any]]:
-        for path in self._files():
+        for path in checkpoint_files(self.folder):
             try:
                 with zipfile.ZipFile(path) as archive:
                     if archive.testzip() is not None:  # PyTorch itself does not look at the checksums
@@ -152,25 +152,6 @@ class Checkpoints:
     def remove(self) -> None:
         """Drop them all, when the run's result is written."""
         shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _there(self) -> dict[str, Any] | None:
-        """The run whose checkpoints lie here, or None."""
-        try:
-            found = json.loads((self.folder / _RUN).read_bytes())
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
-
-    def _files(self) -> list[Path]:
-        """Newest first."""
-        return sorted(self.folder.glob("*.pt"), reverse=True) if self.folder.is_dir() else []
-
-
-def progress(folder: Path) -> tuple[int, dict[str, Any]] | None:
-    """How far the run came whose checkpoints lie in a folder, and what determines its result; None if there is nothing to continue."""
-    checkpoints = Checkpoints(folder, {})
-    there, files = checkpoints._there(), checkpoints._files()
-    return None if there is None or not files or not files[0].stem.isdecimal() else (int(files[0].stem), there)
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any], above: str = "") -> list[str]:

@@ -142,7 +142,9 @@ def _table(ready: Prepared) -> Table:
 
 
 def _costs(ready: Prepared) -> list[str]:
-    from .display import duration, size
+    from cudc_bench.text import size
+
+    from .display import duration
 
     queue, estimates = ready.queue(), ready.estimates
     jobs = list(queue.plan.needs)

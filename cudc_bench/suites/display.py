@@ -134,11 +134,3 @@ class Display:
 def duration(seconds: float) -> str:
     """``"1:02:03"``, or with days before it."""
     return str(timedelta(seconds=round(seconds)))
-
-
-def size(count: float) -> str:
-    """Bytes for people."""
-    for unit, large in (("GB", 1e9), ("MB", 1e6)):
-        if count >= large:
-            return f"{count / large:,.1f} {unit}"
-    return f"{count / 1e3:,.0f} kB"

@@ -13,7 +13,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from cudc_bench.artefacts.manifest import read_manifest, stored_ids
+from cudc_bench.artefacts.ids import stored_ids
+from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import processor
 from cudc_bench.artefacts.records import read_record, record_files
 from cudc_bench.envs import check_domain

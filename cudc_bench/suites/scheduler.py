@@ -12,8 +12,9 @@ from cudc_bench.errors import RunError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
 from cudc_bench.execution.parallel import all_cores
+from cudc_bench.text import size
 
-from .display import Display, Running, duration, size
+from .display import Display, Running, duration
 from .jobs import Job, JobGraph
 from .pool import Given, Outcome, Progress, job_worker, understood
 from .queue import Failure, Queue

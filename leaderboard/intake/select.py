@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from cudc_bench.artefacts.ids import datasets_root, parse_id
-from cudc_bench.artefacts.manifest import Manifest, read_manifest, stored_ids
+from cudc_bench.artefacts.ids import datasets_root, parse_id, stored_ids
+from cudc_bench.artefacts.manifest import Manifest, read_manifest
 from cudc_bench.errors import RunError, UsageError, nearest
 from cudc_bench.text import plain
 

@@ -18,7 +18,6 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.cli.app import main
 from cudc_bench.cli.hints import evaluate_on
 from cudc_bench.errors import DEBUG
 
@@ -125,22 +124,6 @@ finally:
 
 
 # ------------------------------------------------------------------------------------------------------------------------- refusals
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[[list[str]], Finished]:
-    """Runs the command line in this process, which spares the seconds of loading PyTorch, in ``tmp_path`` at the smoke profile."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CUDC_BENCH_PROFILE", "smoke")
-
-    def run(arguments: list[str]) -> Finished:
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main(arguments)
-        assert isinstance(ended.value.code, int)
-        return Finished(ended.value.code, *capfd.readouterr())
-
-    return run
 
 
 def check_refusal(done: Finished, message: str) -> None:
@@ -378,7 +361,7 @@ def test_list_shows_what_can_be_used_and_what_exists(cli: Callable, smoke: Path)
     for name in [*plugins.names("collectors"), *plugins.names("evaluators"), "paper", "cpu", "demo", "smoke", "auto is "]:
         assert name in done.out
     for one in ("walker/cudc-smoke-v0", *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)):
-        (line,) = [line for line in done.out.splitlines() if f" {one} " in line]
+        (line,) = lines_with(done.out, one)
         assert "3,000" in line
     assert "building" not in done.out
     assert "Records in results: 0" in done.out

@@ -16,7 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cudc_bench
-from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest, stored_ids
+from cudc_bench.artefacts.ids import stored_ids
+from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.cli.app import main
 from cudc_bench.data.reader import iterate_episodes, load_episodes, read_episodes
 from cudc_bench.errors import CudcBenchError, RunError

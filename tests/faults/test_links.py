@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import cudc_bench
-from cudc_bench.artefacts.manifest import stored_ids
+from cudc_bench.artefacts.ids import stored_ids
 from cudc_bench.artefacts.records import record_files
 from cudc_bench.data.staging import unfinished
 from cudc_bench.errors import RunError
