@@ -31,6 +31,7 @@ from cudc_bench.settings.evaluate_config import BEFORE
 
 SCHEMA_VERSION = 1
 REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.artefacts.references``
+CHECKPOINTS = ".checkpoints"  # the folder among records of what is kept of trainings that are not done
 # The most that a record of any run has reason to hold; more of them would take whoever reads it minutes.
 MOST_EVALUATIONS, MOST_SETTINGS = 10_000, 1_000
 Settings = Annotated[dict[str, Any], Field(max_length=MOST_SETTINGS)]

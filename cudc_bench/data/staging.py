@@ -103,6 +103,11 @@ def unfinished(root: Path | None = None) -> list[tuple[DatasetId, str | None]]:
     return sorted(found, key=lambda one: str(one[0]))
 
 
+def writer_of(dataset_id: DatasetId, root: Path | None = None) -> str | None:
+    """The process that builds a dataset, or removes it, such as ``"process 123"``; None if none does."""
+    return held_by(_lock(dataset_path(dataset_id, root)))
+
+
 def tidy(dataset_id: DatasetId, root: Path | None = None) -> None:
     """Remove what a process left that was killed just after it had published a dataset; nothing if somebody is writing it again."""
     if is_untidy(dataset_id, root):

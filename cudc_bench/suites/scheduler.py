@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cudc_bench.artefacts.ids import parse_id
+from cudc_bench.data.deletion import finish_removal
 from cudc_bench.errors import RunError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.crew import Crew
@@ -18,7 +20,7 @@ from .display import Display, Running, duration
 from .jobs import Job, JobGraph
 from .pool import Given, Outcome, Progress, job_worker, understood
 from .queue import Failure, Queue
-from .work import Common, finish_removal, made_by, remove
+from .work import Common, made_by, remove
 
 _AGAIN = 1.0  # seconds after which a job is tried again that somebody else kept from starting
 
@@ -43,7 +45,7 @@ class Retention:
         """Remove what only this job still needed; with None, what nothing needs from the start, and what a killed process left."""
         if job is None:
             for one in self._all:
-                finish_removal(one)
+                finish_removal(parse_id(one))
         for base in list(self._users) if job is None else job.datasets:
             users = self._users.get(base)
             if users is None:

@@ -19,17 +19,17 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.artefacts.records import read_record
-from cudc_bench.data.staging import building_path, staging, tidy
+from cudc_bench.data import deletion
+from cudc_bench.data.staging import tidy
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.execution.progress import Listener, listening
-from cudc_bench.files import read_limited, unwritable, write_atomically
+from cudc_bench.files import bytes_below, read_limited, unwritable, write_atomically
 from cudc_bench.stages import ensure_relabelled
 
 from .jobs import Job
 
 FOLDER = ".suite"
-_REMOVED = "removed"
 
 
 @dataclass(frozen=True)
@@ -240,18 +240,9 @@ def remove(common: Common, dataset_id: str) -> tuple[list[str], int]:
         return [], 0
     size = 0
     for one in all_of_it:
-        place = dataset_path(one)
-        size += sum(file.stat().st_size for file in place.rglob("*") if file.is_file())
-        with staging(parse_id(one)) as folder:
-            place.rename(folder / _REMOVED)  # out of sight at once
+        size += bytes_below(dataset_path(one))
+        deletion.remove(parse_id(one))
     return all_of_it, size
-
-
-def finish_removal(dataset_id: str) -> None:
-    """Remove what a process left that was killed while it removed a dataset."""
-    if (building_path(parse_id(dataset_id)) / _REMOVED).exists():
-        with suppress(RunError), staging(parse_id(dataset_id)):
-            pass
 
 
 def _write(path: Path, content: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from cudc_bench.artefacts.ids import datasets_root, default_id
 from cudc_bench.artefacts.manifest import exists, read_manifest
-from cudc_bench.artefacts.records import DatasetReference, record_path, write_record
+from cudc_bench.artefacts.records import CHECKPOINTS, DatasetReference, record_path, write_record
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import Measured, load_reward
 from cudc_bench.errors import BrokenDownError, RunError
@@ -30,7 +30,7 @@ from ..policies.stored import save_policy
 from .datasets import load_members
 from .loop import Arena, run_evaluation
 from .plans import Wanted, check_plans, check_sizes, make_plans, sizes_of
-from .runs import CHECKPOINTS, SIDE_BY_SIDE, Run, Stack, is_recorded, record_of, stackable
+from .runs import SIDE_BY_SIDE, Run, Stack, is_recorded, record_of, stackable
 
 
 @interrupts.leaving_gracefully()  # also between its stages

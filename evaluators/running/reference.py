@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cudc_bench.artefacts.ids import domain_namespace
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
-from cudc_bench.artefacts.records import Evaluation, TrainingMetrics
+from cudc_bench.artefacts.records import CHECKPOINTS, Evaluation, TrainingMetrics
 from cudc_bench.artefacts.references import Reference, ReferenceRun, read_reference, reference_path, write_reference
 from cudc_bench.data.writer import EpisodeShards
 from cudc_bench.envs import check_domain, check_tasks
@@ -40,7 +40,6 @@ from cudc_bench.settings.seeds import check_seeds, format_seeds
 from ..td3 import TD3, TD3Config
 from .loop import Actor, Arena, Outcome
 from .online import rehearse_online, run_online
-from .runs import CHECKPOINTS
 
 _PATIENCE = 60.0  # seconds; whoever holds the lock writes a file
 

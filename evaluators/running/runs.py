@@ -14,7 +14,16 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import default_id
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
-from cudc_bench.artefacts.records import Collection, DatasetReference, Evaluation, Record, TrainingMetrics, read_record, record_path
+from cudc_bench.artefacts.records import (
+    CHECKPOINTS,
+    Collection,
+    DatasetReference,
+    Evaluation,
+    Record,
+    TrainingMetrics,
+    read_record,
+    record_path,
+)
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
@@ -31,7 +40,6 @@ from .datasets import load_members
 from .loop import Outcome, rehearse_evaluation
 from .plans import Plan
 
-CHECKPOINTS = ".checkpoints"  # folder in that of the records
 SIDE_BY_SIDE = 4  # trainings on one core at most; see benchmarks/README.md
 
 

@@ -64,7 +64,7 @@ def check_command(words: list[str]) -> None:
     group: Any = typer.main.get_command(build_app())
     if words[1] == "COMMAND":
         return
-    name, *arguments = [word for word in words[1:] if word not in {"--debug", "…"}] or ["--help"]
+    name, *arguments = [word for word in words[1:] if word not in {"--debug", "--quiet", "-q", "…"}] or ["--help"]
     if name in {"--help", "--version"}:
         return
     assert name in group.commands, f"there is no command {name}"
