@@ -24,7 +24,7 @@ from cudc_bench.settings import described
 from cudc_bench.settings.collect_config import CollectConfig
 from cudc_bench.settings.described import default_text
 from cudc_bench.settings.evaluate_config import EvaluateConfig, OnlineConfig
-from cudc_bench.settings.profiles import PROFILES, schedules
+from cudc_bench.settings.profiles import PROFILES
 
 MARK = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 Rows = Iterable[Sequence[str]]
@@ -150,19 +150,7 @@ def profiles() -> str:
         ("collect", [CollectConfig, *configurations("collectors")]),
         ("evaluate", [EvaluateConfig, *configurations("evaluators")]),
     ):
-        profiles = [dict(getattr(one, stage)) for one in PROFILES.values()]
-        for profile in profiles if stage == "collect" else ():
-            profile |= {name: value for config in configs for name, value in schedules(config, profile).items()}
-        names = dict.fromkeys(name for one in (*(getattr(profile, stage) for profile in PROFILES.values()), *profiles) for name in one)
-        defaults: dict[str, set[str]] = {}
-        for config in configs:
-            for field in dataclasses.fields(config):
-                defaults.setdefault(field.name, set()).add(default_text(field.default))
-        rows = []
-        for name in names:
-            values = [one.get(name) for one in profiles]
-            own = ", ".join(sorted(defaults.get(name, set())))
-            rows.append((f"`{name}`", *(own if value is None else default_text(value) for value in values)))
+        rows = [(f"`{name}`", *values) for name, _, values in described.profile_table(stage, configs)]
         text += f"\n### Values for `{stage}`\n\n" + table(("hyperparameter", *(f"`{name}`" for name in PROFILES)), rows)
     return text
 

@@ -171,12 +171,14 @@ def _remarks(doomed: Sequence[DatasetId], copies: Sequence[DatasetId], results: 
     """What stays and speaks of datasets that will be gone."""
     found = []
     if stay := [one for one in copies if one not in doomed]:
-        found.append(f"{_listed(stay)} {'holds a copy of its own, and stays' if len(stay) == 1 else 'hold copies of their own, and stay'}")
+        hold = "holds a copy of its own, and stays" if len(stay) == 1 else "hold copies of their own, and stay"
+        found.append(f"{_listed(stay)} {hold}")
     names = {tuple(str(one).split("/")) for one in doomed}
     lengths = {len(name) for name in names}
     records = [path for path in record_files(results) if any(path.parent.parts[-length:] in names for length in lengths)]
     if records:
-        found.append(f"{_count(len(records), 'record')} in {results} {'was made of them, and stays' if len(records) == 1 else 'were made of them, and stay'}")
+        made = "was made of them, and stays" if len(records) == 1 else "were made of them, and stay"
+        found.append(f"{_count(len(records), 'record')} in {results} {made}")
     ids = set(map(str, doomed))
     begun = 0
     for place, _, files in walk(results / CHECKPOINTS):

@@ -10,7 +10,7 @@ import ast
 import dataclasses
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, get_type_hints
@@ -140,6 +140,33 @@ def at_profiles(method: Method) -> dict[str, tuple[Any, ...]]:
     """The value of each hyperparameter, of the run's and of the method's, at each profile, in the order of ``PROFILES``."""
     values = [method.at(profile) for profile in PROFILES.values()]
     return {name: tuple(one[name] for one in values) for name in values[0]}
+
+
+def profile_table(stage: str, configs: Iterable[type]) -> list[tuple[str, str, tuple[str, ...]]]:
+    """What profiles change, at a stage.
+
+    Args:
+        stage: ``"collect"`` or ``"evaluate"``.
+        configs: of all that runs there.
+
+    Returns:
+        For each hyperparameter that any profile changes its name, its default (several with commas, where configurations differ), and its
+        value at each profile, in the order of ``PROFILES``; as they are written after ``--set``.
+    """
+    configs = list(configs)
+    given = [dict(getattr(profile, stage)) for profile in PROFILES.values()]
+    values = [dict(one) for one in given]
+    for one in values if stage == "collect" else ():
+        one |= {name: value for config in configs for name, value in schedules(config, one).items()}
+    defaults: dict[str, set[str]] = {}
+    for config in configs:
+        for one_field in dataclasses.fields(config):
+            defaults.setdefault(one_field.name, set()).add(default_text(one_field.default))
+    rows = []
+    for name in dict.fromkeys(name for one in (*given, *values) for name in one):
+        own = ", ".join(sorted(defaults.get(name, set())))
+        rows.append((name, own, tuple(own if one.get(name) is None else default_text(one[name]) for one in values)))
+    return rows
 
 
 def described(hint: Any) -> tuple[str, str]:

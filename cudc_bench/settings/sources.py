@@ -60,6 +60,15 @@ def ancestry(module: str, name: str, depth: int = _DEPTH) -> Iterator[Class]:
                         return
 
 
+def docstring(module: str, name: str) -> str:
+    """What a function of a module says of itself; empty where its source cannot be found."""
+    source = tree(module)
+    for node in reversed(source.body if source is not None else []):
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            return ast.get_docstring(node) or ""
+    return ""
+
+
 def absolute(module: str, node: ast.ImportFrom) -> str:
     """The module that a line of another one imports from."""
     if not node.level:

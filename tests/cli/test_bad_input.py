@@ -197,6 +197,7 @@ MAIN = ["random", "icm", "apt", "proto", "aps", "cudc"]
 methods, algos = plugins.names("collectors"), plugins.names("evaluators")
 profiles, devices = [*PROFILES, "auto"], ["auto", "cpu", "cuda"]
 tasks = [*DOMAINS["walker"].tasks, "all"]
+SHOWN = [*methods, *algos, *DOMAINS, *PROFILES, *(task for domain in DOMAINS.values() for task in domain.tasks)]
 some_tasks = spoiled_names(tasks).filter(lambda text: text.strip() != "all")
 domains = not_among(list(DOMAINS)) | spoiled(["dm_control/cheetah-run"], CONTROLS) | disguised(["dm_control/cheetah-run"])
 bad_references = (
@@ -387,6 +388,7 @@ ATTACKS = [
     attack("list --method BAD", spoiled_names(methods), "method"),
     attack("list --domain BAD", spoiled_names(list(DOMAINS)), "domain"),
     attack("list --seed BAD --json", bad_seeds, "--seed cannot"),
+    attack("show BAD", not_among(SHOWN).filter(lambda text: not text.startswith("-")), ""),
     attack("delete BAD --yes", plain_ids, "is not a dataset id"),
     attack("delete walker/walk/cudc-v0 BAD --yes", plain_ids, "is not a dataset id"),
     attack("delete walker/walk/cudc-v0 --yes --output BAD", bad_paths.filter(lambda path: path not in {"file", "/dev/null"}), "records"),

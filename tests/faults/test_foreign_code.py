@@ -84,6 +84,60 @@ def test_what_a_plugin_says_of_itself_is_shown_as_it_is(main: Main, install: Ins
     assert r"\x1b[31mred" in shown
 
 
+CONFIGURED = """
+from dataclasses import dataclass
+from cudc_bench.collectors.ddpg import DDPG, DDPGConfig
+from cudc_bench.settings.config import PositiveInt
+
+@dataclass(frozen=True)
+class Config(DDPGConfig):
+    \"\"\"Its values.
+
+    Attributes:
+        wideness: how wide its \x1b[31m``mind`` is.
+    \"\"\"
+
+    wideness: PositiveInt = 7
+
+class Method(DDPG):
+    \"\"\"Explores [bold]elsewhere[/bold].\"\"\"
+
+    config_class = Config
+    family, citation = "wandering", "Nobody 2026"
+"""
+
+
+def test_somebody_elses_method_is_shown_as_ours_are(main: Main, install: Install) -> None:
+    install("[cudc_bench.collectors]\nforeign = foreign:Method\n", CONFIGURED)
+    done = main("show", "foreign")
+    assert (done.code, done.err) == (0, "")
+    assert "\x1b" not in done.out
+    lines = [line.strip() for line in done.out.splitlines()]
+    assert "from: Nobody 2026" in lines
+    assert "package: foreign 1.0" in lines
+    assert "Explores [bold]elsewhere[/bold]." in lines
+    at = lines.index("wideness: integer (≥ 1), default 7")
+    assert lines[at + 1] == "7 at every profile"
+    assert lines[at + 2].endswith("mind is")
+    assert "paper 1024, cpu 128, demo 128, smoke 16" in lines  # of the width that it inherits
+
+
+@pytest.mark.parametrize("kind", ["collectors", "evaluators"])
+def test_a_broken_one_is_named_when_it_is_to_be_shown(kind: str, main: Main, install: Install) -> None:
+    install(f"[cudc_bench.{kind}]\nforeign = foreign:Method\n", "1 / 0")
+    refused(main("show", "foreign"), 1, "is installed but cannot be used: ZeroDivisionError")
+
+
+@pytest.mark.parametrize("words", [["list"], ["show", "walk"]])
+def test_a_broken_domain_is_named_and_left_out(words: list[str], main: Main, install: Install) -> None:
+    install("[cudc_bench.domains]\nforeign = foreign:DOMAIN\n", "DOMAIN = 3")
+    done = main(*words)
+    assert done.code == 0, done.err
+    assert done.err.startswith("left out: the domain 'foreign' is registered as int;")
+    assert "quadruped" in done.out
+    refused(main("show", "foreign"), 1, "the domain 'foreign' is registered as int")
+
+
 def test_a_method_that_ends_the_process_is_no_success(main: Main, install: Install) -> None:
     install("[cudc_bench.collectors]\nforeign = foreign:Method\n", GOOD + "    def act(self, *a, **k): raise SystemExit(0)\n")
     done = main("collect", "--method", "foreign", *COLLECT[3:])
