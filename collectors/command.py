@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import (
     CheckpointEveryOption,
     DatasetIdOption,
@@ -83,7 +84,9 @@ def collect(
 
 
 def pilot(
-    method: Annotated[str, typer.Option("--method", help="Collectors that need a threshold, or 'all' such.")] = "all",
+    method: Annotated[
+        str, typer.Option("--method", help="Collectors that need a threshold, or 'all' such.", autocompletion=completion.some_methods)
+    ] = "all",
     domain: DomainOption = "walker",
     profile: ProfileOption = "auto",
     settings: SetOption = None,
@@ -141,10 +144,16 @@ def import_exorl(
 
 
 def import_minari(
-    dataset: Annotated[str, typer.Argument(help="Id of the Minari dataset, such as walker/mine-v0.")],
+    dataset: Annotated[str, typer.Argument(help="Id of the Minari dataset, such as walker/mine-v0.", autocompletion=completion.datasets)],
     method: MethodOption,
     domain: Annotated[
-        str | None, typer.Option("--domain", help="A domain; what the dataset's environment says unless given.", show_default=False)
+        str | None,
+        typer.Option(
+            "--domain",
+            help="A domain; what the dataset's environment says unless given.",
+            show_default=False,
+            autocompletion=completion.domains,
+        ),
     ] = None,
     task: TasksOption = "",
     seed: SeedsOption = "1",

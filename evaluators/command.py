@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import (
     AlgoOption,
     CheckpointEveryOption,
@@ -50,7 +51,10 @@ def evaluate(
         str | None, typer.Option("--training-seeds", help="Train on each dataset once with each of these; its own by default.")
     ] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, max=10**10, help="Gradient steps, instead of the profile's.")] = None,
-    dataset_id: Annotated[str | None, typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.")] = None,
+    dataset_id: Annotated[
+        str | None,
+        typer.Option("--dataset-id", help="Datasets separated by commas, instead of --method.", autocompletion=completion.some_datasets),
+    ] = None,
     dataset_size: Annotated[
         str | None, typer.Option("--dataset-size", help="Only the first so many transitions; several by commas.")
     ] = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import OverwriteOption, parse_names
 from cudc_bench.errors import UsageError
 
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 def leaderboard(
     results: Annotated[list[str] | None, typer.Argument(help="Records, or folders of them.", show_default="results")] = None,
     output: Annotated[str, typer.Option("--output", help="Folder for tables and figures.")] = "report",
-    profile: Annotated[str | None, typer.Option("--profile", help="Only this profile.")] = None,
-    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
-    algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.")] = None,
+    profile: Annotated[str | None, typer.Option("--profile", help="Only this profile.", autocompletion=completion.some_profiles)] = None,
+    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.", autocompletion=completion.domains)] = None,
+    algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.", autocompletion=completion.algos)] = None,
     datasets: Annotated[bool, typer.Option("--datasets/--no-datasets", help="Measure the datasets that are here; seconds each.")] = True,
 ) -> None:
     """Turn run records into tables, learning curves and a static site."""
@@ -83,10 +84,16 @@ def submit(
 
 
 def diagnostics(
-    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all that were collected.")] = None,
+    dataset_ids: Annotated[
+        list[str] | None,
+        typer.Argument(help="Task-agnostic datasets; by default all that were collected.", autocompletion=completion.datasets),
+    ] = None,
     output: Annotated[str, typer.Option("--output", help="Folder for figures.")] = "report",
-    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
-    method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
+    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.", autocompletion=completion.domains)] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", help="Only this collector, or several separated by commas.", autocompletion=completion.some_methods),
+    ] = None,
 ) -> None:
     """Draw how k and the losses of collectors went."""
     from .api import draw_diagnostics
@@ -97,10 +104,15 @@ def diagnostics(
 
 
 def stats(
-    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all there are.")] = None,
+    dataset_ids: Annotated[
+        list[str] | None, typer.Argument(help="Task-agnostic datasets; by default all there are.", autocompletion=completion.datasets)
+    ] = None,
     output: Annotated[str, typer.Option("--output", help="Folder for tables and figures.")] = "report",
-    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.")] = None,
-    method: Annotated[str | None, typer.Option("--method", help="Only this collector, or several separated by commas.")] = None,
+    domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.", autocompletion=completion.domains)] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", help="Only this collector, or several separated by commas.", autocompletion=completion.some_methods),
+    ] = None,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
     from .api import measure_quality

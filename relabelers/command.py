@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import (
     DomainOption,
     MethodOption,
@@ -26,7 +27,8 @@ from cudc_bench.settings.seeds import parse_seeds
 @interrupts.leaving_gracefully()  # also between two datasets
 def relabel(
     dataset_ids: Annotated[
-        list[str] | None, typer.Argument(help="Task-agnostic datasets; by default those of --method and --seeds.")
+        list[str] | None,
+        typer.Argument(help="Task-agnostic datasets; by default those of --method and --seeds.", autocompletion=completion.datasets),
     ] = None,
     domain: DomainOption = "walker",
     method: MethodOption = "cudc",

@@ -28,6 +28,7 @@ _ORDER = (
     "run", "collect", "pilot", "import-exorl", "import-minari", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
     "submit", "diagnostics", "stats", "verify", "list", "show", "delete", "doctor",
 )  # fmt: skip
+_COMPLETION = "_CUDC_BENCH_COMPLETE"  # the environment variable by which a shell asks what could come next
 
 
 class _Left(CudcBenchError):
@@ -109,7 +110,7 @@ def _root(
 def build_app() -> typer.Typer:
     """The application with every installed sub-command, ours first."""
     app = typer.Typer(
-        name="cudc-bench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+        name="cudc-bench", no_args_is_help=True, pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )  # fmt: skip
     app.callback()(_root)
@@ -120,7 +121,8 @@ def build_app() -> typer.Typer:
             if not plugins.is_own("commands", name):
                 _check_parameters(name, command)
         except RunError as error:
-            _complain(f"{error} It is left out.", error, "warning")
+            if _COMPLETION not in os.environ:  # what a shell asks for is all that it should get
+                _complain(f"{error} It is left out.", error, "warning")
         else:
             app.command(name)(_leaving_well(command))
     return app
@@ -151,7 +153,7 @@ def _run(arguments: list[str] | None) -> int:
     """The exit code of a command."""
     code: Any
     try:
-        code = build_app()(arguments, standalone_mode=False)
+        code = build_app()(arguments, prog_name="cudc-bench", standalone_mode=False)
         if code == 130:  # typer takes Ctrl-C for itself, and says nothing
             _complain("interrupted.")
         _flush()

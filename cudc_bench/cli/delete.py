@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -14,7 +15,10 @@ if TYPE_CHECKING:
 
 
 def delete(
-    dataset_ids: Annotated[list[str], typer.Argument(help="Datasets, such as walker/cudc-v0; also of interrupted commands.")],
+    dataset_ids: Annotated[
+        list[str],
+        typer.Argument(help="Datasets, such as walker/cudc-v0; also of interrupted commands.", autocompletion=completion.datasets),
+    ],
     with_labelled: Annotated[bool, typer.Option("--with-labelled", help="Also the labelled datasets that link to them.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would go and what speaks of it, and delete nothing.")] = False,

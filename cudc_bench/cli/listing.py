@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import JsonOption, parse_names
 from cudc_bench.errors import CudcBenchError, UsageError, unknown
 from cudc_bench.settings.seeds import parse_seeds
@@ -27,14 +28,26 @@ Only = Callable[["Manifest"], bool]
 
 
 def list_command(
-    kind: Annotated[str | None, typer.Option("--kind", help=f"Only these, by commas: {', '.join(KINDS)}.")] = None,
-    domain: Annotated[str | None, typer.Option("--domain", help="Only datasets of these domains, by commas.")] = None,
-    method: Annotated[str | None, typer.Option("--method", help="Only datasets of these collectors, by commas.")] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--kind", help=f"Only these, by commas: {', '.join(KINDS)}.", autocompletion=completion.completer(lambda _: KINDS, several=True)
+        ),
+    ] = None,
+    domain: Annotated[
+        str | None, typer.Option("--domain", help="Only datasets of these domains, by commas.", autocompletion=completion.some_domains)
+    ] = None,
+    method: Annotated[
+        str | None, typer.Option("--method", help="Only datasets of these collectors, by commas.", autocompletion=completion.some_methods)
+    ] = None,
     task: Annotated[
         str | None,
         typer.Option("--task", "--tasks", help=f"Only datasets labelled for these, by commas; {AGNOSTIC} for those that are not."),
     ] = None,
-    profile: Annotated[str | None, typer.Option("--profile", help="Only datasets collected at these profiles, by commas.")] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option("--profile", help="Only datasets collected at these profiles, by commas.", autocompletion=completion.some_profiles),
+    ] = None,
     seeds: Annotated[str | None, typer.Option("--seed", "--seeds", help="Only datasets of these seeds, such as 1-3.")] = None,
     results: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
     as_json: JsonOption = False,

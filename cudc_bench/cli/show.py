@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.errors import CudcBenchError, unknown
 
 if TYPE_CHECKING:
@@ -33,7 +34,10 @@ class Paragraph:
 
 
 def show(
-    name: Annotated[str, typer.Argument(help="Of a collector, an offline algorithm, a domain, a profile or a task.")],
+    name: Annotated[
+        str,
+        typer.Argument(help="Of a collector, an offline algorithm, a domain, a profile or a task.", autocompletion=completion.all_names),
+    ],
 ) -> None:
     """Show what a method, algorithm, domain, profile or task is, with every hyperparameter and its value at each profile."""
     from rich.console import Console

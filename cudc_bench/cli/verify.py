@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -13,7 +14,10 @@ if TYPE_CHECKING:
 
 
 def verify(
-    dataset_ids: Annotated[list[str] | None, typer.Argument(help="Datasets, such as walker/cudc-v0; with --all alone, all.")] = None,
+    dataset_ids: Annotated[
+        list[str] | None,
+        typer.Argument(help="Datasets, such as walker/cudc-v0; with --all alone, all.", autocompletion=completion.datasets),
+    ] = None,
     every: Annotated[bool, typer.Option("--all", help="Hold all transitions against the simulator, not a sample.")] = False,
     sample: Annotated[int | None, typer.Option("--sample", help="Transitions to simulate, in whole episodes; 20000 by default.")] = None,
     seed: Annotated[int | None, typer.Option("--seed", help="Draw the sample with this seed; drawn anew and printed by default.")] = None,

@@ -185,4 +185,6 @@ def names_of(module: str, names: set[str]) -> dict[str, Any]:
 
 
 def _names(node: ast.AST) -> set[str]:
-    return {one.id for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Load)}
+    names = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
+    # Without what a comprehension itself gives a name to.
+    return {one.id for one in names if isinstance(one.ctx, ast.Load)} - {one.id for one in names if isinstance(one.ctx, ast.Store)}

@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench.cli import completion
 from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, EngineOption, RewardOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
 from cudc_bench.execution import CHECKPOINT_EVERY
 from cudc_bench.settings.seeds import parse_seeds
+
+from .names import suite_names
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,15 +21,35 @@ if TYPE_CHECKING:
 
 
 def run(
-    suite: Annotated[str, typer.Argument(help="A suite by name, or a file of your own that ends in .toml.")],
-    methods: Annotated[str | None, typer.Option("--methods", "--method", help="Only these of its collectors, by commas.")] = None,
-    domains: Annotated[str | None, typer.Option("--domains", "--domain", help="Only these of its domains.")] = None,
-    tasks: Annotated[str | None, typer.Option("--tasks", "--task", help="Only these of its tasks.")] = None,
-    algos: Annotated[str | None, typer.Option("--algos", "--algo", help="These offline algorithms instead of its own.")] = None,
+    suite: Annotated[
+        str,
+        typer.Argument(
+            help="A suite by name, or a file of your own that ends in .toml.", autocompletion=completion.completer(lambda _: suite_names())
+        ),
+    ],
+    methods: Annotated[
+        str | None,
+        typer.Option("--methods", "--method", help="Only these of its collectors, by commas.", autocompletion=completion.some_methods),
+    ] = None,
+    domains: Annotated[
+        str | None, typer.Option("--domains", "--domain", help="Only these of its domains.", autocompletion=completion.some_domains)
+    ] = None,
+    tasks: Annotated[
+        str | None, typer.Option("--tasks", "--task", help="Only these of its tasks.", autocompletion=completion.some_tasks)
+    ] = None,
+    algos: Annotated[
+        str | None,
+        typer.Option("--algos", "--algo", help="These offline algorithms instead of its own.", autocompletion=completion.some_algos),
+    ] = None,
     seeds: Annotated[str | None, typer.Option("--seeds", "--seed", help="These seeds instead of its own, such as 1-3.")] = None,
     profile: Annotated[
         str | None,
-        typer.Option("--profile", envvar="CUDC_BENCH_PROFILE", help="Instead of its own: paper, cpu, demo, smoke, or auto."),
+        typer.Option(
+            "--profile",
+            envvar="CUDC_BENCH_PROFILE",
+            help="Instead of its own: paper, cpu, demo, smoke, or auto.",
+            autocompletion=completion.profiles,
+        ),
     ] = None,
     output: Annotated[str, typer.Option("--output", help="Folder of the records.")] = "results",
     report: Annotated[str, typer.Option("--report", help="Folder of the leaderboard.")] = "report",
@@ -34,7 +57,12 @@ def run(
     engine: EngineOption = "auto",
     workers: WorkersOption = None,
     keep: Annotated[
-        str, typer.Option("--keep", help="datasets; or records: remove each dataset when all records of it are written.")
+        str,
+        typer.Option(
+            "--keep",
+            help="datasets; or records: remove each dataset when all records of it are written.",
+            autocompletion=completion.one_of("datasets", "records"),
+        ),
     ] = "datasets",
     checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
     ray: Annotated[str | None, typer.Option("--ray", help="Run on a Ray cluster: auto, local, or host:port.")] = None,

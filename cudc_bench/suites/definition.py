@@ -17,7 +17,8 @@ from cudc_bench.files import check_path, read_limited
 from cudc_bench.settings.profiles import PROFILES
 from cudc_bench.settings.seeds import check_seeds, parse_seeds
 
-_FOLDER = Path(__file__).parent
+from .names import FOLDER, suite_names
+
 _LARGEST_FILE = 1_000_000
 _Names = Annotated[list[str], Field(min_length=1)]
 _Share = Annotated[float, Field(gt=0, le=1, strict=True)]
@@ -91,11 +92,6 @@ class Suite:
     evaluate: Mapping[str, Any] = field(default_factory=dict)
 
 
-def suite_names() -> list[str]:
-    """The suites that come with the package."""
-    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
-
-
 def load_suite(name: str) -> Suite:
     """A suite of the package by name, or a file by its path, which ends in ``.toml``.
 
@@ -105,7 +101,7 @@ def load_suite(name: str) -> Suite:
     if not name.endswith(".toml"):
         if name not in suite_names():
             raise UsageError(f"{str(unknown('suite', name, suite_names())).rstrip('.')}. A file of your own ends in .toml.")
-        return _suite(name, _FOLDER / f"{name}.toml")
+        return _suite(name, FOLDER / f"{name}.toml")
     path = check_path(name, "the suite")
     return _suite(path.stem, path)
 
@@ -186,16 +182,16 @@ def _among(suite: Suite, kind: str, wanted: Sequence[str] | None, there: Sequenc
 
 def _suite(name: str, path: Path) -> Suite:
     found = _read(path)
-    where = f"the suite '{path}'" if path.parent != _FOLDER else f"the suite '{name}'"
+    where = f"the suite '{path}'" if path.parent != FOLDER else f"the suite '{name}'"
     if found.suites is not None:
         if given := [key for key in _OF_A_STUDY if getattr(found, key) is not None]:
             raise UsageError(f"{where}: 'suites' names other suites, which have their own '{given[0]}'; leave one of the two out.")
         parts = []
         for one in found.suites:
-            if one not in suite_names() or _read(_FOLDER / f"{one}.toml").suites is not None:
-                allowed = [each for each in suite_names() if _read(_FOLDER / f"{each}.toml").suites is None]
+            if one not in suite_names() or _read(FOLDER / f"{one}.toml").suites is not None:
+                allowed = [each for each in suite_names() if _read(FOLDER / f"{each}.toml").suites is None]
                 raise UsageError(f"{where}: {unknown('suite', one, allowed)}")
-            parts.append(_suite(one, _FOLDER / f"{one}.toml"))
+            parts.append(_suite(one, FOLDER / f"{one}.toml"))
         studies, seeds = tuple(study for part in parts for study in part.studies), parts[0].seeds
     else:
         studies, seeds = (_study(found, where),), (1,)

@@ -65,7 +65,7 @@ def check_command(words: list[str]) -> None:
     if words[1] == "COMMAND":
         return
     name, *arguments = [word for word in words[1:] if word not in {"--debug", "--quiet", "-q", "…"}] or ["--help"]
-    if name in {"--help", "--version"}:
+    if name in {"--help", "--version", "--install-completion", "--show-completion"}:
         return
     assert name in group.commands, f"there is no command {name}"
     if "--help" in arguments:
