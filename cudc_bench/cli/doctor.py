@@ -4,27 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import requires
+from typing import TYPE_CHECKING
 
-import typer
+from cudc_bench.cli.options import JsonOption
+from cudc_bench.errors import RunError
+
+if TYPE_CHECKING:
+    from cudc_bench.cli.documents import DoctorCheck
 
 
-def doctor() -> None:
+def doctor(as_json: JsonOption = False) -> None:
     """Check versions, pins, threads, CUDA and one step of each environment."""
-    from rich.console import Console
+    from cudc_bench.cli.documents import DoctorCheck, DoctorDocument, print_json
 
-    console = Console()
-    failed = 0
+    checks = []
     for name, check in _CHECKS:
         try:
             good, detail = check()
         except Exception as error:  # a check that breaks in any way is a finding to report, not a crash
             good, detail = False, f"{type(error).__name__}: {error}"
-        failed += not good
-        console.print(f"[{'green' if good else 'red'}]{'ok  ' if good else 'FAIL'}[/] ", end="")
-        console.print(f"{name:<14} {detail}", markup=False, highlight=False)
+        checks.append(DoctorCheck(name=name, ok=good, detail=detail))
+        if not as_json:
+            _print(checks[-1])
+    failed = sum(not one.ok for one in checks)
+    if as_json:
+        print_json(DoctorDocument(ok=not failed, checks=checks))
     if failed:
-        console.print(f"{failed} of {len(_CHECKS)} checks failed; reinstall with: pip install -c constraints.txt cudc-bench")
-        raise typer.Exit(1)
+        raise RunError(f"{failed} of {len(checks)} checks failed; reinstall with: pip install -c constraints.txt cudc-bench")
+
+
+def _print(one: DoctorCheck) -> None:
+    from rich.console import Console
+
+    from cudc_bench.cli.tables import Cell, Column, Row, Table
+
+    columns = (Column("", least=4), Column("", least=12), Column("", prose=True))
+    status = Cell("ok", "green") if one.ok else Cell("FAIL", "red")
+    Console(highlight=False).print(Table(columns, (Row((status, Cell(one.name), Cell(one.detail))),), shortens=False))
 
 
 def _python() -> tuple[bool, str]:

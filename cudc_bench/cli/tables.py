@@ -32,20 +32,22 @@ class Column:
         right: whether its cells are aligned to the right, as numbers are.
         prose: whether its cells may be broken between words.
         named: whether its head is a name that may be shortened, as that of a method is.
+        least: letters of its width, at least.
     """
 
     name: str
     right: bool = False
     prose: bool = False
     named: bool = False
+    least: int = 0
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands in a row below a column: one line or several."""
+    """What stands in a row below a column: one line or several, in a style of ``rich``."""
 
     text: str
-    bold: bool = False
+    style: str = ""
 
     @property
     def lines(self) -> list[str]:
@@ -161,7 +163,7 @@ def _widths(table: Table) -> list[int]:
     widths = []
     for index, column in enumerate(table.columns):
         cells = [one.cells[index].width for one in table.rows if one.cells]
-        widths.append(max([Cell(column.name).width, *cells]))
+        widths.append(max([column.least, Cell(column.name).width, *cells]))
     return widths
 
 
@@ -233,7 +235,7 @@ def _folded(table: Table, width: int) -> Iterator[Text]:
 
 def _drawn(table: Table, widths: Sequence[int]) -> Iterator[Text]:
     if any(column.name for column in table.columns):
-        yield from _lines([Cell(column.name, bold=True) for column in table.columns], table.columns, widths)
+        yield from _lines([Cell(column.name, "bold") for column in table.columns], table.columns, widths)
         yield _rule(widths)
     for index, one in enumerate(table.rows):
         if one.cells:
@@ -293,7 +295,7 @@ def _lines(cells: Sequence[Cell], columns: Sequence[Column], widths: Sequence[in
             room = " " * (widths[index] - width_of(text))
             gap = " " * GAP if index else ""
             line.append(gap + (room if columns[index].right else ""))
-            line.append(text, style="bold" if cell.bold else "")
+            line.append(text, style=cell.style)
             line.append("" if columns[index].right else room)
         line.rstrip()
         yield line

@@ -18,6 +18,8 @@ import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import KEY, metadata_path, read_manifest
 from cudc_bench.artefacts.records import read_record
+from cudc_bench.cli import doctor
+from cudc_bench.cli.documents import DoctorDocument
 from cudc_bench.cli.hints import evaluate_on
 from cudc_bench.errors import DEBUG
 
@@ -402,7 +404,7 @@ def test_doctor_checks_this_machine(cli: Callable, datasets: Path) -> None:
     assert (done.code, done.err) == (0, ""), done.out
     assert "FAIL" not in done.out
     for check in ("python", "versions", "processor", "cuda", "updates", "rendering", "dataset root", "environment"):
-        assert f"ok   {check}" in done.out
+        assert f"ok    {check}" in done.out
     assert not datasets.exists()
 
 
@@ -410,8 +412,25 @@ def test_doctor_reports_what_is_wrong(here: Callable, datasets: Path) -> None:
     datasets.write_text("")
     done = here(["doctor"])
     assert done.code == 1
-    assert "FAIL dataset root" in done.out
-    assert "1 of 8 checks failed" in done.out
+    assert "FAIL  dataset root" in done.out
+    assert (done.err.count("\n"), "1 of 8 checks failed; reinstall with: " in done.err) == (1, True)
+    told = here(["doctor", "--json"])
+    assert (told.code, told.err) == (1, done.err)
+    found = DoctorDocument.model_validate_json(told.out)
+    assert [one.name for one in found.checks if not one.ok] == ["dataset root"]
+    assert not found.ok
+
+
+@pytest.mark.parametrize("columns", [60, 80])
+def test_what_the_doctor_says_fits_narrow_terminals(columns: int, here: Callable, datasets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    detail = ", ".join(f"a-package-{index} {index}.0.1+cpu" for index in range(12))
+    monkeypatch.setattr(doctor, "_CHECKS", (("versions", lambda: (True, detail)), ("cuda", lambda: (False, "none"))))
+    done = here(["doctor"])
+    lines = done.out.splitlines()
+    assert max(map(len, lines)) <= columns
+    assert all(line.startswith(("ok  ", "FAIL", " " * 20)) for line in lines)
+    assert " ".join(done.out.split()) == f"ok versions {detail} FAIL cuda none"
 
 
 def test_the_installed_command_is_this_one(environment: dict[str, str], tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_no_line_is_too_long_and_no_number_is_cut(rows: list[str], count: int, w
 def table() -> Table:
     names = ("cudc-vary-icm-longer", "cudc-vary-apt-longer", "icm")
     columns = (Column(""), *(Column(name, right=True, named=True) for name in names))
-    best = Row((Cell("run"), Cell("1"), Cell("–"), Cell("2", bold=True)))
+    best = Row((Cell("run"), Cell("1"), Cell("–"), Cell("2", "bold")))
     rows = (Row(heading="500K steps"), row("walk", "812±11 (5)", "799±31 (5)", "640±9 (5)"), best)
     return Table(columns, rows, "a title", "a caption")
 
