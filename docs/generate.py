@@ -33,6 +33,8 @@ DOCUMENTS = (
     ("list", "cudc_bench.cli.documents", "Listing"),
     ("verify", "cudc_bench.cli.documents", "VerifyDocument"),
     ("doctor", "cudc_bench.cli.documents", "DoctorDocument"),
+    ("leaderboard", "cudc_bench.leaderboard.show.documents", "LeaderboardDocument"),
+    ("stats", "cudc_bench.leaderboard.show.documents", "StatsDocument"),
 )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cudc_bench.cli import completion
-from cudc_bench.cli.options import OverwriteOption, parse_names
+from cudc_bench.cli.options import JsonOption, OverwriteOption, parse_names
 from cudc_bench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,35 +23,38 @@ def leaderboard(
     domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.", autocompletion=completion.domains)] = None,
     algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.", autocompletion=completion.algos)] = None,
     datasets: Annotated[bool, typer.Option("--datasets/--no-datasets", help="Measure the datasets that are here; seconds each.")] = True,
+    as_json: JsonOption = False,
 ) -> None:
     """Turn run records into tables, learning curves and a static site."""
     from rich.console import Console
 
+    from cudc_bench.cli.documents import print_json
     from cudc_bench.execution.progress import echo, warn
 
     from . import api
     from .show import terminal
+    from .show.documents import of_leaderboard
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
-    screen = Console(highlight=False)
-    for table in report.tables:
-        screen.print(terminal.of_table(table))
-        screen.print()
-    for overall in report.overall:
-        screen.print(terminal.of_overall(overall))
-        screen.print()
-    for study in report.studies:
-        screen.print(terminal.of_study(study))
-        screen.print()
+    files = [file for file in report.files if file.suffix != ".html"]
+    if report.files:
+        files.append(Path(output) / "index.html")
+    if as_json:
+        print_json(of_leaderboard(report.tables, report.overall, report.studies, report.missing, report.problems, files))
+    else:
+        screen = Console(highlight=False)
+        shown = (
+            *map(terminal.of_table, report.tables), *map(terminal.of_overall, report.overall), *map(terminal.of_study, report.studies),
+        )  # fmt: skip
+        for part in shown:
+            screen.print(part)
+            screen.print()
     for problem in report.problems:
         warn(f"problem: {problem}")
     for missing in report.missing:
         echo(f"missing: {missing}")
-    for file in report.files:
-        if file.suffix != ".html":
-            typer.echo(file)
-    if report.files:
-        typer.echo(Path(output) / "index.html")
+    for file in () if as_json else files:
+        typer.echo(file)
 
 
 def submit(
@@ -113,13 +116,19 @@ def stats(
         str | None,
         typer.Option("--method", help="Only this collector, or several separated by commas.", autocompletion=completion.some_methods),
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure datasets without training: reward density for all tasks, coverage, entropy."""
+    from cudc_bench.cli.documents import print_json
+
     from .api import measure_quality
+    from .show.documents import of_stats
     from .show.terminal import of_quality
 
     report = measure_quality(dataset_ids or None, output, domain, _methods(method))
-    _show(map(of_quality, report.tables), report.remarks, report.files)
+    if as_json:
+        print_json(of_stats(report))
+    _show(() if as_json else map(of_quality, report.tables), report.remarks, () if as_json else report.files)
 
 
 def _methods(text: str | None) -> tuple[str, ...] | None:

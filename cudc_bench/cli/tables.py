@@ -73,12 +73,13 @@ class Table:
     """A table that any console shows in its own width.
 
     Attributes:
-        columns: the first of them holds names, which are repeated wherever the others are folded.
+        columns: the first ``keys`` of them hold names, which are repeated wherever the others are folded.
         rows: each with a cell for each column, or a heading over those that follow.
         title: above it; empty for none.
         caption: below it; empty for none.
         stacked: if it is too wide, a row's name stands on a line of its own and all else below it, rather than columns below one another.
         shortens: whether the names in its first column may be shortened; ids that people copy may not.
+        keys: how many columns say what a row is of.
     """
 
     columns: tuple[Column, ...]
@@ -87,6 +88,7 @@ class Table:
     caption: str = ""
     stacked: bool = False
     shortens: bool = True
+    keys: int = 1
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         from rich.text import Text
@@ -215,21 +217,22 @@ def _folded(table: Table, width: int) -> Iterator[Text]:
     """As many columns as there is room for, then the names again with the next ones."""
     from rich.text import Text
 
-    widths = _widths(table)
-    first, index = widths[0], 1
-    if first + GAP + max(widths[1:]) > width:
+    widths, keys = _widths(table), table.keys
+    first = sum(widths[:keys]) + GAP * (keys - 1)
+    if first + GAP + max(widths[keys:], default=0) > width:
         yield from _drawn_stacked(table, width)
         return
+    index = keys
     while index < len(widths):
         end, used = index, first
         while end < len(widths) and used + GAP + widths[end] <= width:
             used += GAP + widths[end]
             end += 1
-        if index > 1:
+        if index > keys:
             yield Text("")
-        rows = tuple(replace(one, cells=(one.cells[0], *one.cells[index:end])) if one.cells else one for one in table.rows)
-        part = replace(table, columns=(table.columns[0], *table.columns[index:end]), rows=rows)
-        yield from _drawn(part, [first, *widths[index:end]])
+        rows = tuple(replace(one, cells=(*one.cells[:keys], *one.cells[index:end])) if one.cells else one for one in table.rows)
+        part = replace(table, columns=(*table.columns[:keys], *table.columns[index:end]), rows=rows)
+        yield from _drawn(part, [*widths[:keys], *widths[index:end]])
         index = end
 
 

@@ -1,4 +1,4 @@
-"""Tables for a terminal; ``rich`` objects throughout, so that nothing in a record is taken for markup."""
+"""Tables for a terminal (see ``cudc_bench.cli.tables``), so that nothing in a record is taken for markup and no number is broken."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from cudc_bench.text import plain
+from cudc_bench.cli import tables
+from cudc_bench.cli.tables import Cell, Row, row
 
 from ..datasets.diagnostics import Comparison
 from ..datasets.quality import Quality, QualityTable
@@ -18,7 +19,6 @@ from .text import bracketed, chance, text
 
 if TYPE_CHECKING:
     from rich.console import Group
-    from rich.table import Table as Shown
 
 _NARROW = 2  # digits behind the point of a study's numbers, at most
 _SIDE_BY_SIDE = 6
@@ -33,18 +33,15 @@ def of_table(table: Table) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    shown = _empty()
-    shown.add_column("")
+    shown: list[Row] = []
     turned = len(table.headings) > _SIDE_BY_SIDE
-    for name in table.tasks if turned else table.headings:
-        shown.add_column(Text(name), justify="right")
+    columns = _columns("", *(table.tasks if turned else table.headings))
 
     def block(title: str, tasks: Sequence[str], rows: Sequence[Sequence[tuple[str, bool]]]) -> None:
-        shown.add_row(Text(title, style="bold"))
-        cells = [[Text(cell, style="bold" if best else "") for cell, best in row] for row in rows]
+        shown.append(Row(heading=title))
+        cells = [[Cell(cell, "bold" if best else "") for cell, best in line] for line in rows]
         for name, line in zip(table.headings if turned else tasks, zip(*cells, strict=True) if turned else cells, strict=True):
-            shown.add_row(Text(name), *line)
-        shown.add_section()
+            shown.append(Row((Cell(name), *line)))
 
     for part in table.grid.parts:
         rows, scores = [], []
@@ -61,7 +58,7 @@ def of_table(table: Table) -> Group:
         if table.references:
             block(f"{part.title}, scores", table.tasks, scores)
     title = Text(f"{table.domain}, {table.algorithm}, profile {table.group}", style="bold")
-    return Group(title, shown, Text(table.caption, style="dim"))
+    return Group(title, tables.Table(columns, tuple(shown)), Text(table.caption, style="dim"))
 
 
 def of_study(study: Study) -> Group:
@@ -74,21 +71,18 @@ def of_study(study: Study) -> Group:
         if grid.long:
             parts.append(Text(f"{grid.title}: {study.folder}/{study.name}-{grid.name}.csv, {study.name}.md"))
             continue
-        shown = _empty()
-        for name in ("", *grid.head[1:]):
-            shown.add_column(name)
-        for column in grid.columns:
-            shown.add_column(Text(column.name), justify="right")
+        rows = []
         for part in grid.parts:
-            shown.add_row(Text(part.title, style="bold"))
+            rows.append(Row(heading=part.title))
             for line in part.lines:
                 cells = [
-                    Text(_narrow(entry, column), style="bold" if entry and entry.best else "")
+                    Cell(_narrow(entry, column), "bold" if entry and entry.best else "")
                     for column, entry in zip(grid.columns, line.entries, strict=True)
                 ]
-                shown.add_row(*map(Text, line.labels), *cells)
-            shown.add_section()
-        parts += [Text(grid.title), shown]
+                rows.append(Row((*map(Cell, line.labels), *cells)))
+        labels = tuple(tables.Column(name) for name in ("", *grid.head[1:]))
+        columns = (*labels, *_columns(*(column.name for column in grid.columns), first=False))
+        parts += [Text(grid.title), tables.Table(columns, tuple(rows), keys=len(labels))]
     parts.append(Text("\n".join([study.caption, *(f"Note: {note}" for note in study.notes)]), style="dim"))
     return Group(*parts)
 
@@ -99,16 +93,15 @@ def of_overall(overall: Overall) -> Group:
     from rich.text import Text
 
     comparison = overall.headline
-    shown = _empty()
-    shown.add_column("")
-    for name in ("mean", "95 % interval", "IQM", "median", "gap", "P(rank 1)", "seeds"):
-        shown.add_column(name, justify="right")
+    rows = []
     for standing in comparison.standings:
         headline = standing.estimates[LEAD]
         rest = [f"{standing.estimates[name].value:.3f}" for name in ("iqm", "median", "optimality_gap")]
         first = "–" if standing.ranks is None else f"{standing.ranks[0]:.2f}"
-        row = (standing.method, f"{headline.value:.3f}", bracketed(headline.interval) or "–", *rest, first, standing.seeds_text)
-        shown.add_row(*map(Text, row))
+        interval = bracketed(headline.interval) or "–"
+        rows.append(row(standing.method, f"{headline.value:.3f}", interval, *rest, first, standing.seeds_text))
+    names = ("", "mean", "95 % interval", "IQM", "median", "gap", "P(rank 1)", "seeds")
+    columns = tuple(tables.Column(name, right=bool(name)) for name in names)
     wins = [f"{pair.method} over {pair.other} ({chance(pair)})" for pair in comparison.pairs if pair.better]
     lines = [
         f"Scores: {comparison.unit}. IQM: mean without the lowest and highest quarter of runs; gap: mean of max(0, 1 - score).",
@@ -119,7 +112,7 @@ def of_overall(overall: Overall) -> Group:
         *(f"Left out: {line}" for line in comparison.left_out),
     ]
     title = Text(f"Overall: {overall.algorithm}, profile {overall.group}: {comparison.title}", style="bold")
-    return Group(title, shown, Text("\n".join(lines), style="dim"))
+    return Group(title, tables.Table(columns, tuple(rows)), Text("\n".join(lines), style="dim"))
 
 
 def of_diagnostics(comparison: Comparison) -> Group:
@@ -130,22 +123,23 @@ def of_diagnostics(comparison: Comparison) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    shown = _empty()
     measured = REPRESENTATION_COLUMNS if comparison.having(REPRESENTATION_COLUMNS) else {}
-    for name in ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy", *measured.values()):
-        shown.add_column(name, justify="left" if name in {"method", "k grew", "suspect"} else "right")
+    names = ("method", "seed", "steps", "k", "k grew", "suspect", "cells", "entropy", *measured.values())
+    columns = tuple(tables.Column(name, right=name not in {"method", "k grew", "suspect"}) for name in names)
+    rows = []
     for run in comparison.runs:
         cells, entropy = run.last("coverage_cells"), run.last("coverage_entropy")
-        row = (
-            plain(run.manifest.method), str(run.manifest.seed), f"{run.manifest.steps:,}", "" if run.k is None else f"{run.k:g}",
+        texts = (
+            run.manifest.method, str(run.manifest.seed), f"{run.manifest.steps:,}", "" if run.k is None else f"{run.k:g}",
             "\n".join(map(str, run.schedule.growth)),
             # Only methods whose k can grow tell whether its schedule is suspect.
             {True: "yes", False: "no", None: ""}[run.schedule.suspect],
             "" if cells is None else f"{cells:,.0f}", "" if entropy is None else f"{entropy:.2f}",
             *("" if (value := run.last(name)) is None else f"{value:.3g}" for name in measured),
         )  # fmt: skip
-        shown.add_row(*(Text(cell or "–") for cell in row))
-    return Group(Text(f"{comparison.domain}, profile {comparison.group}", style="bold"), shown)
+        rows.append(row(*(one or "–" for one in texts)))
+    title = Text(f"{comparison.domain}, profile {comparison.group}", style="bold")
+    return Group(title, tables.Table(columns, tuple(rows), keys=2))
 
 
 def of_quality(table: QualityTable) -> Group:
@@ -153,31 +147,17 @@ def of_quality(table: QualityTable) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    shown = _empty()
-    for index, name in enumerate(
-        (
-            "method",
-            "seed",
-            *(task.replace("_", "\n") for task in table.tasks),
-            "visited\ncells",
-            "visits\n(nats)",
-            "states\n(nats)",
-            "|a|\n>0.95",
-            "a·a'",
-        )
-    ):
-        shown.add_column(name, justify="left" if index == 0 else "right")
-    for one in table.datasets:
-        shown.add_row(*(Text(cell) for cell in (plain(one.manifest.label), str(one.manifest.seed), *_rewards(one), *_spread(one))))
+    tasks = (task.replace("_", "\n") for task in table.tasks)
+    names = ("method", "seed", *tasks, "visited\ncells", "visits\n(nats)", "states\n(nats)", "|a|\n>0.95", "a·a'")
+    columns = tuple(tables.Column(name, right=name != "method") for name in names)
+    rows = tuple(row(one.manifest.label, str(one.manifest.seed), *_rewards(one), *_spread(one)) for one in table.datasets)
     title = Text(f"{table.domain}, profile {table.group}: mean reward per step of each task, and how far the data spread", style="bold")
-    return Group(title, shown)
+    return Group(title, tables.Table(columns, rows, keys=2))
 
 
-def _empty() -> Shown:
-    from rich import box
-    from rich.table import Table as Shown
-
-    return Shown(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+def _columns(*names: str, first: bool = True) -> tuple[tables.Column, ...]:
+    """Columns of numbers under names that may be shortened; the first, unless there is none, says what they are of."""
+    return tuple(tables.Column(name, right=not first or index > 0, named=True) for index, name in enumerate(names))
 
 
 def _rewards(one: Quality) -> list[str]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.cli.documents import Document, Number, VerifyDocument, to_json
+from cudc_bench.leaderboard.show.documents import StatsDocument
 from tests import ROOT
 
 from ..documents.test_reference_pages import generate
@@ -56,6 +57,17 @@ def test_what_is_proven_fits_narrow_terminals(columns: int, here: Callable, smok
     assert (done.code, done.err) == (0, "")
     assert max(map(len, done.out.splitlines())) <= columns
     assert f"{read_manifest(BASE).steps:,}" in done.out.replace("(", " ").split() or "3,000" in done.out
+
+
+def test_stats_prints_a_document_and_refuses_as_without(here: Callable, smoke: Path) -> None:
+    done = here(["stats", "--output", "report", "--json"])
+    assert done.code == 0, done.err
+    found = StatsDocument.model_validate_json(done.out)
+    assert [(one.id, one.seed) for one in found.tables[0].datasets] == [(BASE, 1)]
+    assert found.files
+    assert all(Path(file).exists() for file in found.files)
+    refused = here(["stats", WALK, "--json"])
+    assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
 
 
 class Example(Document):

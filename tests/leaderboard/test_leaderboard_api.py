@@ -11,6 +11,7 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.command import leaderboard as command
 from cudc_bench.leaderboard.output.incremental import LEDGER
+from cudc_bench.leaderboard.show.documents import LeaderboardDocument
 
 from ..waiting import PATIENCE
 
@@ -139,6 +140,13 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
     }
     assert (len(printed), set(printed)) == (len(expected), expected)
     assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js"})
+
+    told = run(results, "--output", tmp_path / "out", "--profile", "cpu", "--json")
+    found = LeaderboardDocument.model_validate_json(told.stdout)
+    assert (told.exit_code, sorted(found.files)) == (0, sorted(expected))
+    assert [(one.group, one.methods) for one in found.tables] == [("cpu", ["cudc"]), ('cpu (evaluate: note="[red]")', ["icm"])]
+    assert len(found.problems) == 1
+    assert "broken.json is not a run record" in told.stderr.replace("\n", "")
 
 
 def test_command_reads_results_by_default(make_record, save, tmp_path, monkeypatch):

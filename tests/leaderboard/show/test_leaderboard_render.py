@@ -89,10 +89,15 @@ def test_terminal_shows_every_cell(table):
 
 
 def test_terminal_bold_is_the_best(table):
-    _, grid, _ = to_rich(table).renderables
-    cells = {str(text): text.style for column in grid.columns[1:] for text in column.cells if text}
+    cells = styles_of(table)
     assert cells["200±100 (3)"] == "bold"
     assert cells["42 (1)"] == ""
+
+
+def styles_of(table) -> dict[str, str]:
+    """How the terminal shows each cell, by its text."""
+    _, grid, _ = to_rich(table).renderables
+    return {cell.text: cell.style for line in grid.rows for cell in line.cells[1:]}
 
 
 def test_every_rendering_marks_all_that_are_not_significantly_worse(make_record):
@@ -107,8 +112,7 @@ def test_every_rendering_marks_all_that_are_not_significantly_worse(make_record)
     frame = pd.read_csv(io.StringIO(to_csv(table)))
     last = frame[(frame.milestone == 20_000) & (frame.task == "walk")]
     assert dict(zip(last.method, last.best, strict=True)) == {"random": False, "icm": True, "cudc": True}
-    _, grid, _ = to_rich(table).renderables
-    styles = {str(text): text.style for column in grid.columns[1:] for text in column.cells if text}
+    styles = styles_of(table)
     assert [styles[text] for text in ("110±10 (3)", "508±33 (3)", "510±20 (3)")] == ["", "bold", "bold"]
 
 
