@@ -15,7 +15,7 @@ from cudc_bench.settings.seeds import parse_seeds
 from .names import suite_names
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from cudc_bench.cli.tables import Table
 
     from .api import Prepared
 
@@ -145,18 +145,15 @@ def _names(text: str | None) -> tuple[str, ...] | None:
 
 def _table(ready: Prepared) -> Table:
     """What is there and what is to do, a line for each method and domain."""
-    from rich.table import Table
+    from cudc_bench.cli.tables import Column, Table, row
 
     from .display import duration
     from .jobs import KINDS
 
     plan, done = ready.found.plan, ready.found.done
     left = plan.left(done).needs
-    table = Table(
-        title=f"suite {ready.suite.name}, profile {ready.common.profile}: to make / all", title_justify="left", title_style="bold"
-    )
-    for column in ("domain", "method", *KINDS, "time"):
-        table.add_column(column, justify="left" if column in ("domain", "method") else "right")
+    columns = (Column("domain"), Column("method"), *(Column(name, right=True) for name in (*KINDS, "time")))
+    rows = []
     for domain, methods in dict.fromkeys((job.domain, job.methods) for job in plan.needs):
         mine = [job for job in plan.needs if (job.domain, job.methods) == (domain, methods)]
         cells = []
@@ -165,8 +162,9 @@ def _table(ready: Prepared) -> Table:
             cells.append(f"{sum(job in left for job in some)} / {len(some)}" if some else "")
         times = [ready.estimates.seconds(job) for job in mine if job in left]
         time = "unknown" if None in times else duration(sum(one for one in times if one is not None)) if times else ""
-        table.add_row(domain, methods[0] if len(methods) == 1 else "all together", *cells, time)
-    return table
+        rows.append(row(domain, methods[0] if len(methods) == 1 else "all together", *cells, time))
+    title = f"suite {ready.suite.name}, profile {ready.common.profile}: to make / all"
+    return Table(columns, tuple(rows), title, shortens=False, keys=2)
 
 
 def _costs(ready: Prepared) -> list[str]:
