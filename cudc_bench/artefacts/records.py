@@ -32,6 +32,7 @@ from cudc_bench.settings.evaluate_config import BEFORE
 SCHEMA_VERSION = 1
 REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.artefacts.references``
 CHECKPOINTS = ".checkpoints"  # the folder among records of what is kept of trainings that are not done
+SUITE_FOLDER = ".suite"  # the same of what a suite keeps: its lock, and a note of each dataset that it made
 # The most that a record of any run has reason to hold; more of them would take whoever reads it minutes.
 MOST_EVALUATIONS, MOST_SETTINGS = 10_000, 1_000
 Settings = Annotated[dict[str, Any], Field(max_length=MOST_SETTINGS)]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id, stored_ids
 from cudc_bench.artefacts.manifest import exists, read_manifest
-from cudc_bench.artefacts.records import CHECKPOINTS, record_files
+from cudc_bench.artefacts.records import CHECKPOINTS, SUITE_FOLDER, record_files
 from cudc_bench.data.staging import building_path, staging, unfinished, writer_of
 from cudc_bench.errors import CudcBenchError, HeldError, RunError, UsageError, nearest
 from cudc_bench.execution.interrupted import RUN, run_there
@@ -137,12 +137,15 @@ def _is_labelled(one: DatasetId, base: DatasetId) -> bool:
 
 
 def _check_free(doomed: Sequence[DatasetId], results: Path) -> None:
+    suite = held_by(results / SUITE_FOLDER / "lock")
     for one in doomed:
         if (holder := writer_of(one)) is not None:
             raise HeldError(f"{holder} is writing '{one}'; wait for it to end.")
         for lock in sorted((results / CHECKPOINTS).glob(f"*/{one}/*.lock")):
             if (holder := held_by(lock)) is not None:
                 raise HeldError(f"{holder} is training on '{one}'; wait for it to end, or stop it.")
+        if suite is not None and (results / SUITE_FOLDER / "datasets" / f"{one}.json").exists():
+            raise HeldError(f"{suite} is running a suite that made '{one}'; wait for it to end, or stop it.")
     for other, holder in unfinished():
         for one in doomed:
             if holder is not None and _is_labelled(other, one):

@@ -20,7 +20,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cudc_bench.artefacts.ids import datasets_root, default_id, rooted_at
-from cudc_bench.artefacts.records import Record, record_path
+from cudc_bench.artefacts.records import SUITE_FOLDER, Record, record_path
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.parallel import use_cores
@@ -31,7 +31,7 @@ from .display import Display
 from .jobs import Job
 from .pool import Outcome, attempt, into
 from .queue import Failure, Queue
-from .work import FOLDER, Common, note_path, remove
+from .work import Common, note_path, remove
 
 _HOST = re.compile(r"([A-Za-z0-9._-]{1,253}):(\d{1,5})")
 _CONNECT = 10.0  # seconds
@@ -225,7 +225,7 @@ def _thresholds() -> bytes:
 
 def _put(path: Path, content: bytes) -> None:
     try:
-        if path.suffix == ".json" and FOLDER not in path.parts:
+        if path.suffix == ".json" and SUITE_FOLDER not in path.parts:
             Record.model_validate_json(content)
         write_atomically(path, content)
     except ValidationError as error:

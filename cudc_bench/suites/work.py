@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, parse_id
 from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
-from cudc_bench.artefacts.records import read_record
+from cudc_bench.artefacts.records import SUITE_FOLDER, read_record
 from cudc_bench.data import deletion
 from cudc_bench.data.staging import tidy
 from cudc_bench.errors import RunError, UsageError
@@ -28,8 +28,6 @@ from cudc_bench.files import bytes_below, read_limited, unwritable, write_atomic
 from cudc_bench.stages import ensure_relabelled
 
 from .jobs import Job
-
-FOLDER = ".suite"
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Common:
     @property
     def folder(self) -> Path:
         """Of what the suite keeps for itself."""
-        return self.output / FOLDER
+        return self.output / SUITE_FOLDER
 
 
 def do(job: Job, common: Common, listener: Listener) -> None:

@@ -173,6 +173,11 @@ def test_what_somebody_is_at_work_on_stays(here: Callable, smoke: Path, tmp_path
     with locked(tmp_path / f"results/.checkpoints/smoke/{WALK}/td3-seed1.lock", "it"):
         refused(f"is training on '{WALK}'; wait for it to end, or stop it.", WALK)
         refused(f"is training on '{WALK}'; wait for it to end, or stop it.", BASE, "--with-labelled")
+    note = tmp_path / f"results/.suite/datasets/{WALK}.json"
+    note.parent.mkdir(parents=True)
+    note.write_text("{}")
+    with locked(tmp_path / "results/.suite/lock", "it"):
+        refused(f"is running a suite that made '{WALK}'; wait for it to end, or stop it.", WALK)
     assert tree(smoke) == before
 
 
