@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import typer
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -453,11 +452,6 @@ def ground(tmp_path_factory: pytest.TempPathFactory, collected_once: Path) -> Pa
     return folder
 
 
-@pytest.fixture(scope="module")
-def command_line() -> Callable[..., Any]:
-    return typer.main.get_command(app.build_app())
-
-
 @pytest.fixture
 def attacked(ground: Path, command_line: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with the environment of the command lines."""
@@ -468,7 +462,6 @@ def attacked(ground: Path, command_line: Callable[..., Any], monkeypatch: pytest
     monkeypatch.setenv("CUDC_BENCH_THRESHOLDS", str(ground / "thresholds.json"))
     # ``render`` sets it for the process that it runs in.
     monkeypatch.setenv("MUJOCO_GL", "disabled")
-    # To make the command line of its functions takes most of the time of a refusal, and what comes out is always the same.
     monkeypatch.setattr(app, "build_app", lambda: command_line)
     return ground
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cudc_bench import plugins
+from cudc_bench.cli import app
 from cudc_bench.cli.app import main
 from cudc_bench.suites.names import suite_names
 
@@ -20,8 +21,9 @@ Ask = Callable[[str], list[str]]
 
 
 @pytest.fixture
-def ask(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Ask:
+def ask(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], command_line: Callable) -> Ask:
     """What bash would be offered at the end of a line."""
+    monkeypatch.setattr(app, "build_app", lambda: command_line)
 
     def asked(line: str) -> list[str]:
         words = line.split(" ")
@@ -99,13 +101,13 @@ def test_a_root_that_cannot_be_read_offers_nothing(ask: Ask, datasets: Path) -> 
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts_for_shells_are_shown(shell: str, here: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["cudc-bench"])
-    # Where no shell is found, as in a service, the option takes its name.
-    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
-    done = here(["--show-completion", shell])
-    assert (done.code, done.err) == (0, "")
-    assert f"complete_{shell}" in done.out
+def test_scripts_for_shells_are_shown(shell: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")  # the option then takes a shell's name
+    with pytest.raises(SystemExit) as ended:
+        main(["--show-completion", shell])
+    out, err = capfd.readouterr()
+    assert (ended.value.code, err) == (0, "")
+    assert f"complete_{shell}" in out
 
 
 def test_the_installed_command_answers_and_loads_next_to_nothing(environment: dict[str, str], datasets: Path, tmp_path: Path) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import pytest
 import typer
 
 from cudc_bench import plugins
-from cudc_bench.cli import app
 from cudc_bench.cli.app import main
 from cudc_bench.errors import DEBUG, RunError
 from cudc_bench.execution.progress import QUIET, bars, draws_bars, echo, warn
@@ -30,15 +30,12 @@ def put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(DEBUG, "")
 
 
-def test_h_is_help_everywhere(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    # To make the command line of its functions takes longer than all the rest.
-    command_line = typer.main.get_command(app.build_app())
-    monkeypatch.setattr(app, "build_app", lambda: command_line)
+def test_h_is_help_everywhere(here: Callable) -> None:
     for command in ([], *([name] for name in plugins.names("commands"))):
-        shown = [(run([*command, option]), *capsys.readouterr()) for option in ("--help", "-h")]
-        assert shown[0] == shown[1]
-        assert (shown[0][0], shown[0][2]) == (0, "")
-        assert "Usage: " in shown[0][1]
+        long, short = (here([*command, option]) for option in ("--help", "-h"))
+        assert long == short
+        assert (long.code, long.err) == (0, "")
+        assert "Usage: " in long.out
 
 
 def works() -> None:
