@@ -226,7 +226,19 @@ def _models(module: str, *names: str) -> Callable[[], str]:
 
 def _documents() -> str:
     """The documents of ``--json``, and what is in them."""
-    return "\n".join(f"## {command}\n\n{schema(*_with_parts(getattr(import_module(module), name)))}" for command, module, name in DOCUMENTS)
+    return "\n".join(
+        f"## {command}\n\n" + "\n".join(map(_printed, _with_parts(getattr(import_module(module), name))))
+        for command, module, name in DOCUMENTS
+    )
+
+
+def _printed(model: type[BaseModel]) -> str:
+    """The fields of a document or a part of one, all of which are always there."""
+    meanings, rows = attributes(model), []
+    for name, found in model.model_json_schema(mode="validation")["properties"].items():
+        null = " or null" if any(one.get("type") == "null" for one in found.get("anyOf", ())) else ""
+        rows.append((f"`{name}`", f"{_reference(found)[0]}{null}", meanings.get(name, "")))
+    return f"### {model.__name__}\n\n{prose(model)}\n\n" + table(("field", "type", "meaning"), rows)
 
 
 def _with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
