@@ -15,6 +15,8 @@ from cudc_bench.errors import UsageError
 if TYPE_CHECKING:
     from rich.console import Group
 
+    from .output.report import Report
+
 
 def leaderboard(
     results: Annotated[list[str] | None, typer.Argument(help="Records, or folders of them.", show_default="results")] = None,
@@ -26,13 +28,10 @@ def leaderboard(
     as_json: JsonOption = False,
 ) -> None:
     """Turn run records into tables, learning curves and a static site."""
-    from rich.console import Console
-
     from cudc_bench.cli.documents import print_json
     from cudc_bench.execution.progress import echo, warn
 
     from . import api
-    from .show import terminal
     from .show.documents import of_leaderboard
 
     report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
@@ -42,19 +41,27 @@ def leaderboard(
     if as_json:
         print_json(of_leaderboard(report.tables, report.overall, report.studies, report.missing, report.problems, files))
     else:
-        screen = Console(highlight=False)
-        shown = (
-            *map(terminal.of_table, report.tables), *map(terminal.of_overall, report.overall), *map(terminal.of_study, report.studies),
-        )  # fmt: skip
-        for part in shown:
-            screen.print(part)
-            screen.print()
+        print_tables(report)
     for problem in report.problems:
         warn(f"problem: {problem}")
     for missing in report.missing:
         echo(f"missing: {missing}")
     for file in () if as_json else files:
         typer.echo(file)
+
+
+def print_tables(report: Report) -> None:
+    """Print the tables, comparisons and studies of a leaderboard to the standard output, as wide as it is."""
+    from rich.console import Console
+
+    from .show import terminal
+
+    screen = Console(highlight=False)
+    for part in (
+        *map(terminal.of_table, report.tables), *map(terminal.of_overall, report.overall), *map(terminal.of_study, report.studies),
+    ):  # fmt: skip
+        screen.print(part)
+        screen.print()
 
 
 def submit(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cudc_bench import plugins
 from cudc_bench.cli import completion
 from cudc_bench.cli.options import CheckpointEveryOption, DeviceOption, EngineOption, RewardOption, WorkersOption, parse_names
 from cudc_bench.errors import RunError
@@ -99,13 +100,14 @@ def run(
     if found.leaderboard is not None:
         for problem in found.leaderboard.problems:
             warn(f"problem: {problem}")
-        for file in found.leaderboard.files:
-            print(file)
+        plugins.load("stages", "print_tables")(found.leaderboard)
+        if found.leaderboard.files:
+            print(ready.common.report / "index.html")
     if found.failed:
         for line in found.failed:
             warn(f"failed: {line}")
         raise RunError(f"{found.lacking} of {found.jobs} jobs are not done, see above; the same command tries them again.")
-    echo(f"suite {ready.suite.name} is complete; next: cudc-bench leaderboard {output}")
+    echo(f"suite {ready.suite.name} is complete; tables, figures and the site are in {ready.common.report}: open its index.html")
 
 
 def rerun(

@@ -48,6 +48,11 @@ class Running:
             self.first = (done, time.monotonic())
 
     @property
+    def is_whole(self) -> bool:
+        """Whether it was begun here, and not gone on with: then what it took says what others like it take."""
+        return self.first is None or self.first[0] <= 0.1 * self.total
+
+    @property
     def left(self) -> float:
         """Seconds, from its own rate as soon as it has one."""
         now = time.monotonic()

@@ -47,8 +47,9 @@ class Queue:
             for one in needs:
                 self._after[one].append(job)
         known = {kind: fmean(some) for kind in KINDS if (some := _known(seconds, kind))}
-        self.seconds = {job: seconds.get(job) or known.get(job.kind, _UNKNOWN) for job in plan.needs}
-        self._unmeasured = {job for job in plan.needs if not seconds.get(job)}
+        self._expected = {job: seconds.get(job) or known.get(job.kind, _UNKNOWN) for job in plan.needs}
+        self.seconds = dict(self._expected)
+        self._took: dict[Job, float] = {}
         self._ways: dict[Job, float] = {}
         for job in reversed(list(plan.needs)):
             self._ways[job] = self.seconds[job] + max((self._ways[one] for one in self._after[job]), default=0.0)
@@ -86,13 +87,17 @@ class Queue:
         self.waiting[job] = None
 
     def succeed(self, job: Job, seconds: float | None = None) -> None:
-        """It is done, in so many seconds, which says something of those like it that nothing was known of."""
+        """It is done, in so many seconds: what others take is expected to be off by the same factor, of those like it or, before there are
+        any, of all. None says nothing of them, as of a job that went on where it had been interrupted."""
         self.running.discard(job)
         self.done.add(job)
-        if seconds is not None and job in self._unmeasured:
-            for one in self._unmeasured:
-                if (one.kind, one.algo) == (job.kind, job.algo):
-                    self.seconds[one] = seconds
+        if seconds is None:
+            return
+        self._took[job] = seconds
+        for one in self.waiting:
+            like = [done for done in self._took if (done.kind, done.algo) == (one.kind, one.algo)] or list(self._took)
+            factor = sum(self._took[done] for done in like) / sum(self._expected[done] for done in like)
+            self.seconds[one] = self._expected[one] * factor
 
     def fail(self, job: Job, why: str) -> None:
         """It failed, and with it all that needs it."""

@@ -105,7 +105,7 @@ def run_locally(queue: Queue, common: Common, workers: int, before: int, retenti
         passed = time.monotonic() - one.started
         if ended.how == "done":
             held.pop(job, None)
-            queue.succeed(job, passed)
+            queue.succeed(job, passed if one.is_whole else None)
             display.line(f"done {job.name} in {duration(passed)}; {display.summary(running)}")
             if retention is not None:
                 retention.job_done(job, display.line)

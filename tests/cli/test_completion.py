@@ -85,14 +85,14 @@ def test_suites_are_offered(ask: Ask) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["verify", "relabel", "delete", "stats", "diagnostics", "evaluate --dataset-id", "verify walker/cudc-v0"]
+    "command", ["verify", "relabel", "delete", "stats", "diagnostics", "evaluate --dataset-id", "verify walker/cudc-smoke-v0"]
 )
 def test_datasets_are_offered(command: str, ask: Ask, datasets: Path) -> None:
     assert ask(f"cudc-bench {command} wal") == []
-    for one in ("walker/cudc-v0", "walker/walk/cudc-v0"):
+    for one in ("walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"):
         (datasets / one / "data").mkdir(parents=True)
         (datasets / one / "data/metadata.json").write_text("{}")
-    assert ask(f"cudc-bench {command} wal") == ["walker/cudc-v0", "walker/walk/cudc-v0"]
+    assert ask(f"cudc-bench {command} wal") == ["walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"]
 
 
 def test_a_root_that_cannot_be_read_offers_nothing(ask: Ask, datasets: Path) -> None:

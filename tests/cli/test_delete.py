@@ -21,8 +21,8 @@ from cudc_bench.execution.locks import locked
 
 from .test_cli import tree
 
-BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
-LABELLED = [f"walker/{task}/cudc-v0" for task in ("flip", "run", "stand", "walk")]
+BASE, WALK = "walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"
+LABELLED = [f"walker/{task}/cudc-smoke-v0" for task in ("flip", "run", "stand", "walk")]
 
 
 def there() -> list[str]:
@@ -168,8 +168,8 @@ def test_what_somebody_is_at_work_on_stays(here: Callable, smoke: Path, tmp_path
     with staging(parse_id(WALK)):
         refused(f"is writing '{WALK}'; wait for it to end.", WALK)
         refused(f"is writing '{WALK}'; wait for it to end.", BASE, "--with-labelled")
-    with staging(parse_id("walker/hop/cudc-v0")):
-        refused(f"is labelling '{BASE}' as 'walker/hop/cudc-v0'", BASE, "--with-labelled")
+    with staging(parse_id("walker/hop/cudc-smoke-v0")):
+        refused(f"is labelling '{BASE}' as 'walker/hop/cudc-smoke-v0'", BASE, "--with-labelled")
     with locked(tmp_path / f"results/.checkpoints/smoke/{WALK}/td3-seed1.lock", "it"):
         refused(f"is training on '{WALK}'; wait for it to end, or stop it.", WALK)
         refused(f"is training on '{WALK}'; wait for it to end, or stop it.", BASE, "--with-labelled")

@@ -17,7 +17,7 @@ from tests import ROOT
 
 from ..documents.test_reference_pages import generate
 
-BASE, WALK = "walker/cudc-v0", "walker/walk/cudc-v0"
+BASE, WALK = "walker/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"
 
 
 def test_verify_tells_a_script_what_it_tells_people(here: Callable, smoke: Path) -> None:
@@ -37,9 +37,9 @@ def test_verify_tells_a_script_what_it_tells_people(here: Callable, smoke: Path)
 
 def test_what_fails_is_in_the_document_and_the_status_is_the_same(here: Callable, smoke: Path) -> None:
     (smoke / WALK / "data/main_data.hdf5").write_bytes(b"nothing")
-    for words, failed in (([WALK], 1), ([BASE, WALK, "--sample", "1"], 1), ([WALK, "walker/run/cudc-v0", "--sample", "1"], 2)):
+    for words, failed in (([WALK], 1), ([BASE, WALK, "--sample", "1"], 1), ([WALK, "walker/run/cudc-smoke-v0", "--sample", "1"], 2)):
         if failed == 2:
-            (smoke / "walker/run/cudc-v0/data/main_data.hdf5").unlink()
+            (smoke / "walker/run/cudc-smoke-v0/data/main_data.hdf5").unlink()
         plain, done = here(["verify", *words]), here(["verify", *words, "--json"])
         assert plain.code == done.code == 1
         assert done.err.splitlines()[-1].startswith("cudc-bench: error: ")

@@ -16,7 +16,7 @@ from cudc_bench.cli.documents import Listing
 from cudc_bench.data.staging import building_path
 
 TASKS = ("stand", "walk", "run", "flip")
-BASE = "walker/cudc-v0"
+BASE = "walker/cudc-smoke-v0"
 
 
 def document(here: Callable, *options: str) -> dict[str, Any]:
@@ -45,8 +45,8 @@ def test_a_script_gets_all_that_there_is_and_nothing_else(here: Callable, smoke:
     sizes = {one["id"]: one["bytes"] for one in found["datasets"]}
     assert sizes == {one: sum(file.stat().st_size for file in (smoke / one).rglob("*") if file.is_file()) for one in sizes}
     assert found["bytes"] == sum(sizes.values()) + 5
-    walk = next(one for one in found["datasets"] if one["id"] == "walker/walk/cudc-v0")
-    manifest = read_manifest("walker/walk/cudc-v0")
+    walk = next(one for one in found["datasets"] if one["id"] == "walker/walk/cudc-smoke-v0")
+    manifest = read_manifest("walker/walk/cudc-smoke-v0")
     assert (walk["task"], walk["base"], walk["linked"], walk["fingerprint"]) == ("walk", BASE, True, manifest.fingerprint)
     text = " ".join(here(["list"]).out.split())
     assert f"5 datasets, {sum(sizes.values()) / 1e3:,.0f} kB on disk; unfinished: 1, 0 kB" in text
@@ -56,11 +56,11 @@ def test_a_script_gets_all_that_there_is_and_nothing_else(here: Callable, smoke:
     ("options", "expected"),
     [
         (["--task", "none"], [BASE]),
-        (["--task", "walk,run"], ["walker/run/cudc-v0", "walker/walk/cudc-v0"]),
-        (["--method", "cudc", "--seed", "1-3", "--task", "flip"], ["walker/flip/cudc-v0"]),
+        (["--task", "walk,run"], ["walker/run/cudc-smoke-v0", "walker/walk/cudc-smoke-v0"]),
+        (["--method", "cudc", "--seed", "1-3", "--task", "flip"], ["walker/flip/cudc-smoke-v0"]),
         (["--method", "icm"], []),
         (["--seed", "2"], []),
-        (["--profile", "smoke", "--domain", "walker", "--task", "none,stand"], [BASE, "walker/stand/cudc-v0"]),
+        (["--profile", "smoke", "--domain", "walker", "--task", "none,stand"], [BASE, "walker/stand/cudc-smoke-v0"]),
         (["--profile", "cpu"], []),
         (["--domain", "quadruped,jaco"], []),
         (["--domain", "dm_control/cheetah-run"], []),
@@ -113,7 +113,7 @@ def test_narrow_terminals_lose_nothing(columns: int, here: Callable, smoke: Path
     lines = [line for line in out.splitlines() if not line.startswith(("Datasets in", "Records in", "Unfinished"))]
     assert max(map(len, lines)) <= columns
     words = out.replace(",", " ").split()
-    for name in (*plugins.names("collectors"), *plugins.names("evaluators"), BASE, *(f"walker/{task}/cudc-v0" for task in TASKS)):
+    for name in (*plugins.names("collectors"), *plugins.names("evaluators"), BASE, *(f"walker/{task}/cudc-smoke-v0" for task in TASKS)):
         assert name in words
 
 

@@ -212,6 +212,19 @@ def test_time_left_is_that_of_the_work_or_of_the_longest_way() -> None:
     assert unknown.seconds[A2] == 30
 
 
+def test_what_jobs_took_says_what_others_will_take() -> None:
+    queue = Queue(SMALL, SECONDS)
+    assert queue.start() == B
+    queue.succeed(B, 2 * SECONDS[B])
+    assert {job: queue.seconds[job] / SECONDS[job] for job in queue.waiting} == dict.fromkeys(queue.waiting, 2.0)
+    queue.start([A])
+    queue.succeed(B1, 3 * SECONDS[B1])  # Trainings are known by now, collections as before.
+    assert {job: queue.seconds[job] / SECONDS[job] for job in queue.waiting} == pytest.approx({A: 2.0, A1: 3.0, A2: 3.0})
+    queue.start()
+    queue.succeed(A)  # It went on where it had been, which says nothing.
+    assert queue.seconds_left(1, {}) == pytest.approx(3 * (SECONDS[A1] + SECONDS[A2]))
+
+
 @given(st.data())
 def test_any_order_of_ends_does_every_job_once(data: st.DataObject) -> None:
     found = plan("all", methods=["cudc", "random", "icm"], seeds=[1])
