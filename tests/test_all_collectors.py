@@ -62,7 +62,7 @@ def test_the_whole_chain(name: str, tmp_path: Path) -> None:
     else:
         assert [table.methods for table in report.tables] == [(name,)]
         assert len(report.tables[0].cells) == 1  # one task at one milestone
-    ids = (f"walker/{name}-v0", f"walker/walk/{name}-v0")
+    ids = (f"walker/{name}-smoke-v0", f"walker/walk/{name}-smoke-v0")
     unlabelled, labelled = (read_manifest(one) for one in ids)
     dataset = minari.load_dataset(ids[0])
     assert dataset.total_steps == unlabelled.steps == 3000
@@ -84,7 +84,7 @@ def test_several_methods_in_one_command(cli: Callable, datasets: Path, tmp_path:
     done = cli("leaderboard")
     assert done.code == 0, done.err
     assert all(name in done.out for name in names)
-    done = cli("verify", *(one for name in names for one in (f"walker/{name}-v0", f"walker/walk/{name}-v0")), "--sample", "100")
+    done = cli("verify", *(one for name in names for one in (f"walker/{name}-smoke-v0", f"walker/walk/{name}-smoke-v0")), "--sample", "100")
     assert done.code == 0, done.err
 
 
@@ -97,7 +97,7 @@ def test_methods_differ_from_one_another(cli: Callable, datasets: Path) -> None:
         if (threshold := kind.measured_by_pilot(kind.configure("walker"))) is not None:
             settings[threshold] = 0.5
         cudc_bench.collect(name, profile="smoke", settings=settings)
-    manifests = {name: read_manifest(f"walker/{name}-v0") for name in names}
+    manifests = {name: read_manifest(f"walker/{name}-smoke-v0") for name in names}
     prints = {name: manifest.fingerprint for name, manifest in manifests.items()}
     for name, other in SAME.items():
         assert prints.pop(name) == prints[other]

@@ -331,8 +331,8 @@ def test_workers_leave_when_the_process_that_started_them_is_killed(environment:
     arguments = ["collect", "--method", "random", "--seeds", "1-2", "--workers", "2", "--set", "steps=10000000"]
     process = subprocess.Popen([sys.executable, "-m", "cudc_bench.cli", *arguments], env=environment, cwd=tmp_path, stderr=subprocess.PIPE)
     try:
-        locks = [datasets / "walker" / f".{name}-v0.lock" for name in ("random", "random-seed2")]
-        lines = [datasets / "walker" / f".{name}-v0.building" / "diagnostics.jsonl" for name in ("random", "random-seed2")]
+        locks = [datasets / "walker" / f".{name}-v0.lock" for name in ("random-smoke", "random-smoke-seed2")]
+        lines = [datasets / "walker" / f".{name}-v0.building" / "diagnostics.jsonl" for name in ("random-smoke", "random-smoke-seed2")]
         wait_for(lambda: all(path.exists() for path in lines))
         workers = [int(lock.read_text().split()[0]) for lock in locks]
     finally:
@@ -382,7 +382,7 @@ def test_list_and_cards_tell_of_a_suspect_schedule(here: Callable, smoke: Path, 
     cudc_bench.relabel("walker/cudc-smoke-v0", tasks=["walk"], overwrite=True)
     listed = here(["list"]).out
     noted = {
-        one: "k schedule suspect" in line for one in ("cudc", "walk/cudc", "run/cudc") for line in lines_with(listed, f"walker/{one}-v0")
+        one: "k schedule suspect" in line for one in ("cudc", "walk/cudc", "run/cudc") for line in lines_with(listed, f"walker/{one}-smoke-v0")
     }
     assert noted == {"cudc": True, "walk/cudc": True, "run/cudc": False}
     card = (smoke / "walker/walk/cudc-smoke-v0/README.md").read_text()

@@ -82,9 +82,13 @@ def test_the_papers_main_study_at_the_smoke_profile(
     done = cli(*whole, "--methods", ",".join(methods), "--workers", "2")
     assert done.code == 0, done.err
     assert "suite main is complete" in done.err
+    # It ends with the tables and where the site is, and names no other file.
+    assert all(f"{domain}, td3, profile smoke" in done.out for domain in ("walker", "quadruped", "jaco"))
+    assert done.out.splitlines()[-1] == "report/index.html"
+    assert [line for line in done.out.splitlines() if line.startswith("report/")] == ["report/index.html"]
     found = records(tmp_path / "results")
     tasks = {"walker": "stand", "quadruped": "stand", "jaco": "reach_top_left"}
-    assert set(found) == {f"smoke/{domain}/{task}/{method}-v0/td3-seed1.json" for domain, task in tasks.items() for method in methods}
+    assert set(found) == {f"smoke/{domain}/{task}/{method}-smoke-v0/td3-seed1.json" for domain, task in tasks.items() for method in methods}
     for domain in tasks:
         table = (tmp_path / "report" / f"smoke.td3.{domain}" / "table.md").read_text()
         assert all(name in table for name in methods)
@@ -143,7 +147,7 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert "Traceback" in said
     assert said.splitlines()[-1] == "ValueError: a bug of somebody's own"
     first = records(tmp_path / "results")
-    assert set(first) == {f"smoke/jaco/reach_top_left/{name}-v0/bc-seed1.json" for name in ("random", "proto")}
+    assert set(first) == {f"smoke/jaco/reach_top_left/{name}-smoke-v0/bc-seed1.json" for name in ("random", "proto")}
     assert not exists("jaco/random-smoke-v0")
     assert not exists("jaco/reach_top_left/random-smoke-v0")
     assert exists("jaco/proto-v0")
