@@ -105,6 +105,7 @@ def _method(stage: str, name: str) -> Iterator[Paragraph]:
     from cudc_bench.settings.described import at_profiles, describe, hyperparameters
 
     found = describe(stage, name)
+    at = at_profiles(found)
     option = "collector (--method" if stage == "collectors" else "offline algorithm (--algo"
     yield Paragraph(f"{found.name}: {option} {found.name})", heading=True)
     yield from _facts(
@@ -125,13 +126,12 @@ def _method(stage: str, name: str) -> Iterator[Paragraph]:
         yield Paragraph("Its paper's values for single domains, which win over those of profiles", heading=True)
         for domain, values in found.domain_values.items():
             yield Paragraph(f"{domain}: {_settings(values)}", 2)
-    values = at_profiles(found)
     for title, config in (("Hyperparameters of the method", found.config), ("Hyperparameters of the run", found.loop)):
         yield Paragraph()
         yield Paragraph(f"{title} (--set name=value)", heading=True)
         of_config = hyperparameters(config)
         for one in of_config:
-            yield from _hyperparameter(one, values[one.name])
+            yield from _hyperparameter(one, at[one.name])
         if not of_config:
             yield Paragraph("none", 2)
 

@@ -16,6 +16,7 @@ from functools import cache
 from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter
+from pydantic.errors import PydanticInvalidForJsonSchema, PydanticSchemaGenerationError
 
 from cudc_bench import plugins
 from cudc_bench.settings import sources
@@ -82,7 +83,17 @@ class Method:
         return CollectConfig if self.stage == "collectors" else EvaluateConfig
 
     def at(self, profile: Profile) -> dict[str, Any]:
-        """All hyperparameters at a profile, those of the run first; what is set for single domains is left out."""
+        """All hyperparameters at a profile, those of the run first; what is set for single domains is left out.
+
+        Raises:
+            RunError: its configuration cannot be made, so that nobody could run it.
+        """
+        try:
+            return self._at(profile)
+        except (TypeError, NameError, AttributeError) as error:
+            raise plugins.unusable(self.stage, self.name, str(error)) from error
+
+    def _at(self, profile: Profile) -> dict[str, Any]:
         config: Any
         if self.stage == "collectors":
             config = build(self.config, schedules(self.config, profile.collect), profile.collect, self.values)
@@ -132,8 +143,15 @@ def hyperparameters(config: type) -> tuple[Hyperparameter, ...]:
     """The fields of a configuration, in their order."""
     hints, meanings = get_type_hints(config, include_extras=True), attributes(config)
     return tuple(
-        Hyperparameter(one.name, *described(hints[one.name]), one.default, meanings.get(one.name, "")) for one in dataclasses.fields(config)
+        Hyperparameter(one.name, *described(hints[one.name]), _default(one), meanings.get(one.name, ""))
+        for one in dataclasses.fields(config)
     )
+
+
+def _default(one: dataclasses.Field[Any]) -> Any:
+    if one.default is not dataclasses.MISSING:
+        return one.default
+    return None if one.default_factory is dataclasses.MISSING else one.default_factory()
 
 
 def at_profiles(method: Method) -> dict[str, tuple[Any, ...]]:
@@ -171,7 +189,10 @@ def profile_table(stage: str, configs: Iterable[type]) -> list[tuple[str, str, t
 
 def described(hint: Any) -> tuple[str, str]:
     """The type of a value and the range that it may have, from its annotation as pydantic understands it."""
-    return of_schema(TypeAdapter(hint).json_schema())
+    try:
+        return of_schema(TypeAdapter(hint).json_schema())
+    except (PydanticSchemaGenerationError, PydanticInvalidForJsonSchema):  # of a type that JSON has no word for
+        return "any", ""
 
 
 def of_schema(schema: Mapping[str, Any]) -> tuple[str, str]:
@@ -210,7 +231,7 @@ def default_text(value: Any) -> str:
         return f"`[{','.join(str(one) for one in value)}]`"
     if isinstance(value, int):
         return f"`{value:_}`" if value >= 10_000 else f"`{value}`"
-    return f"`{value}`" if isinstance(value, str) else f"`{value:g}`"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 
 # Docstrings

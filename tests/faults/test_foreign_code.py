@@ -122,10 +122,20 @@ def test_somebody_elses_method_is_shown_as_ours_are(main: Main, install: Install
     assert "paper 1024, cpu 128, demo 128, smoke 16" in lines  # of the width that it inherits
 
 
-@pytest.mark.parametrize("kind", ["collectors", "evaluators"])
-def test_a_broken_one_is_named_when_it_is_to_be_shown(kind: str, main: Main, install: Install) -> None:
-    install(f"[cudc_bench.{kind}]\nforeign = foreign:Method\n", "1 / 0")
-    refused(main("show", "foreign"), 1, "is installed but cannot be used: ZeroDivisionError")
+@pytest.mark.parametrize(
+    ("source", "why"),
+    [
+        ("1 / 0", "ZeroDivisionError"),
+        (CONFIGURED.replace("config_class = Config", "config_class = 3"), "its config_class is no dataclass."),
+        (CONFIGURED.replace("wideness: PositiveInt = 7", "wideness: PositiveInt = field(kw_only=True)"), "missing 1 required keyword-only"),
+        (CONFIGURED.replace("PositiveInt = 7", "'Nowhere' = 7"), "name 'Nowhere' is not defined."),
+    ],
+)
+def test_a_broken_one_is_named_when_it_is_to_be_shown(source: str, why: str, main: Main, install: Install) -> None:
+    install("[cudc_bench.collectors]\nforeign = foreign:Method\n", source.replace("import dataclass\n", "import dataclass, field\n"))
+    refused(
+        main("show", "foreign"), 1, "the method 'foreign' (foreign:Method) of the package foreign is installed but cannot be used: ", why
+    )
 
 
 @pytest.mark.parametrize("words", [["list"], ["show", "walk"]])

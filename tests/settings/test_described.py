@@ -11,7 +11,7 @@ from cudc_bench import plugins
 from cudc_bench.errors import RunError
 from cudc_bench.settings import sources
 from cudc_bench.settings.config import as_dict
-from cudc_bench.settings.described import at_profiles, describe, hyperparameters, prose, without_marks
+from cudc_bench.settings.described import at_profiles, default_text, describe, hyperparameters, prose, without_marks
 from cudc_bench.settings.evaluate_config import plain_values
 from cudc_bench.settings.profiles import PROFILES
 
@@ -65,6 +65,20 @@ def test_what_needs_more_than_definitions_is_refused() -> None:
     with pytest.raises(RunError, match=r"'nothing' is not defined in the source of cudc_bench\.collectors\.ddpg"):
         sources.value("cudc_bench.collectors.ddpg", "nothing")
     assert sources.attribute("cudc_bench.collectors.ddpg", "DDPG", "nothing") is None
+
+
+def test_whatever_somebody_elses_configuration_holds_is_described() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Theirs:
+        needed: int
+        function: Callable[[int], int] = abs
+        table: dict[str, float] = dataclasses.field(default_factory=lambda: {"a": 0.5})
+
+    Theirs.__annotations__ = {"needed": int, "function": Callable[[int], int], "table": dict[str, float]}
+    needed, function, table = hyperparameters(Theirs)
+    assert (needed.kind, needed.default) == ("integer", None)
+    assert (function.kind, function.allowed) == ("any", "")
+    assert default_text(table.default) == "`{'a': 0.5}`"
 
 
 def test_docstrings_are_shown_without_their_marks() -> None:
