@@ -118,7 +118,7 @@ def describe(stage: str, name: str) -> Method:
     package = " ".join(f"{one} {version}" for one, version in plugins.package(stage, name).items())
     said = "family" if stage == "collectors" else "summary"
     wanted = (said, "citation", "config_class", "values", "domain_values")
-    if plugins.is_own(stage, name):
+    if plugins.is_own(stage, name) and sources.tree(module) is not None:  # an installation may have no sources
         found = {one: sources.attribute(module, target, one) for one in wanted}
         text = next(filter(None, (ast.get_docstring(one.node) for one in sources.ancestry(module, target))), "")
         # A name that stands for another class is that class.

@@ -60,6 +60,14 @@ print(sorted({name.split(".")[0] for name in sys.modules} & {"torch", "mujoco", 
     assert python(script) == (0, "True True\nTrue True\n[]\n", "")
 
 
+def test_where_there_are_no_sources_the_class_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = describe("evaluators", "td3")
+    monkeypatch.setattr(sources, "tree", lambda module: None)
+    imported = describe("evaluators", "td3")
+    assert (imported.what, imported.citation, imported.target) == (read.what, read.citation, read.target)
+    assert at_profiles(imported) == at_profiles(read)
+
+
 def test_what_needs_more_than_definitions_is_refused() -> None:
     assert sources.value("cudc_bench.collectors.ddpg", "DDPGConfig") is sources.value("cudc_bench.collectors.apt", "DDPGConfig")
     with pytest.raises(RunError, match=r"'nothing' is not defined in the source of cudc_bench\.collectors\.ddpg"):
