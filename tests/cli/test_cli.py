@@ -340,7 +340,7 @@ def test_workers_leave_when_the_process_that_started_them_is_killed(environment:
         process.communicate()
     wait_for(lambda: not any(is_running(worker) for worker in workers))
     # They have saved their states and let go of their locks.
-    assert sorted(path.name for path in (datasets / "walker").iterdir()) == [".random-seed2-v0.building", ".random-v0.building"]
+    assert sorted(path.name for path in (datasets / "walker").iterdir()) == [".random-smoke-seed2-v0.building", ".random-smoke-v0.building"]
     assert len(list(datasets.rglob("*.pt"))) == 2
 
 
@@ -381,9 +381,8 @@ def test_list_and_cards_tell_of_a_suspect_schedule(here: Callable, smoke: Path, 
     # A dataset relabelled from it says so, too; one from before does not.
     cudc_bench.relabel("walker/cudc-smoke-v0", tasks=["walk"], overwrite=True)
     listed = here(["list"]).out
-    noted = {
-        one: "k schedule suspect" in line for one in ("cudc", "walk/cudc", "run/cudc") for line in lines_with(listed, f"walker/{one}-smoke-v0")
-    }
+    there = ("cudc", "walk/cudc", "run/cudc")
+    noted = {one: "k schedule suspect" in line for one in there for line in lines_with(listed, f"walker/{one}-smoke-v0")}
     assert noted == {"cudc": True, "walk/cudc": True, "run/cudc": False}
     card = (smoke / "walker/walk/cudc-smoke-v0/README.md").read_text()
     assert "k grew before 150 environment steps, or reached its bound within 300 steps" in card  # of 3,000
