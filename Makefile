@@ -32,7 +32,7 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@echo "datasets   $(DEMO)/datasets   (MINARI_DATASETS_PATH=$(DEMO)/datasets, then minari.load_dataset('walker/cudc-v0'))"
 	@echo "records    $(DEMO)/results"
 	@echo "table      $(DEMO)/report/demo.td3.walker/table.md"
-	@echo "curves     $(DEMO)/report/demo.td3.walker/curves.svg"
+	@echo "curves     $(DEMO)/report/demo.td3.walker/index.html"
 	@echo "site       $(DEMO)/report/index.html"
 
 test: setup  ## Run the tests.

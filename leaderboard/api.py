@@ -28,15 +28,17 @@ def make_leaderboard(
     domain: str | None = None,
     algo: str | None = None,
     datasets: bool = True,
+    figures: bool = False,
 ) -> Report:
-    """Make tables, learning curves and a static site from run records.
+    """Make tables and a static site from run records, and with ``figures`` files of its figures.
 
-    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, ``curves`` and ``bars`` as ``.svg`` and
-    ``.pdf``, the curves of each task as ``task-<task>.svg``, and ``paper.md``, ``paper.tex`` and ``paper.csv`` if it has cells that the
-    paper reports, too; and for each study of the same domain, algorithm and group ``<study>.md``, ``<study>.tex``, a ``.csv`` for each of
-    its tables, and its figures. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets ``overall.md``, ``overall.tex``,
-    ``overall.csv``, ``scores.csv``, ``power.csv``, and ``intervals``, ``profiles``, ``ranks`` and ``domains`` as ``.svg`` and ``.pdf``.
-    Learners side by side are in ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them (see :mod:`.site`).
+    For each table ``<output>/<slug>/`` gets ``table.md``, ``table.tex``, ``table.csv``, and ``paper.md``, ``paper.tex`` and ``paper.csv``
+    if it has cells that the paper reports, too; and for each study of the same domain, algorithm and group ``<study>.md``,
+    ``<study>.tex``, and a ``.csv`` for each of its tables. For each group and algorithm ``<output>/<profile>.<algorithm>/`` gets
+    ``overall.md``, ``overall.tex``, ``overall.csv``, ``scores.csv`` and ``power.csv``. Learners side by side are in
+    ``<output>/<profile>.learners/``. ``<output>/index.html`` is the site over all of them, which draws its figures itself (see
+    :mod:`.site`). With ``figures`` there are, beside the tables, ``curves`` and ``bars``, ``intervals``, ``profiles``, ``ranks`` and
+    ``domains``, and those of studies as ``.svg`` and ``.pdf``, and the curves of each task as ``task-<task>.svg``.
     Each file is replaced whole. Where a task of a profile has a reference below the results (see ``cudc_bench.artefacts.references``),
     its floor and ceiling and the scores between them are shown, too. The same records and references, and with ``datasets`` the same
     datasets, give the same bytes. What has not changed since the last build is left alone, and what no record asks for any more is removed
@@ -48,6 +50,7 @@ def make_leaderboard(
         profile, domain, algo: only records of that profile, domain or algorithm.
         datasets: measure those of the records' datasets that are on this machine, for their pages; what was measured is kept in
             ``<output>/datasets/measures.json``, so that each takes its seconds once.
+        figures: draw files of figures, for papers. Those of an earlier build stay as long as they are right, and are removed after that.
 
     Raises:
         UsageError: there is no such path, no record, or no record of that profile, domain or algorithm; the output cannot be a folder.
@@ -63,7 +66,7 @@ def make_leaderboard(
     records = only(records, "record", "domain", domain, lambda record: record.dataset.domain)
     records = only(records, "record", "algo", algo, lambda record: record.algorithm)
     with kept_from_collector():
-        return make_report(loaded, references, paths, records, folder, datasets, whole=profile is domain is algo is None)
+        return make_report(loaded, references, paths, records, folder, datasets, figures, whole=profile is domain is algo is None)
 
 
 def draw_diagnostics(

@@ -20,21 +20,22 @@ if TYPE_CHECKING:
 
 def leaderboard(
     results: Annotated[list[str] | None, typer.Argument(help="Records, or folders of them.", show_default="results")] = None,
-    output: Annotated[str, typer.Option("--output", help="Folder for tables and figures.")] = "report",
+    output: Annotated[str, typer.Option("--output", help="Folder for tables and the site.")] = "report",
     profile: Annotated[str | None, typer.Option("--profile", help="Only this profile.", autocompletion=completion.some_profiles)] = None,
     domain: Annotated[str | None, typer.Option("--domain", help="Only this domain.", autocompletion=completion.domains)] = None,
     algo: Annotated[str | None, typer.Option("--algo", help="Only this offline algorithm.", autocompletion=completion.algos)] = None,
     datasets: Annotated[bool, typer.Option("--datasets/--no-datasets", help="Measure the datasets that are here; seconds each.")] = True,
+    figures: Annotated[bool, typer.Option("--figures", help="Files of figures for papers, too: svg and pdf.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Turn run records into tables, learning curves and a static site."""
+    """Turn run records into tables and a static site with their figures."""
     from cudc_bench.cli.documents import print_json
     from cudc_bench.execution.progress import echo, warn
 
     from . import api
     from .show.documents import of_leaderboard
 
-    report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets)
+    report = api.make_leaderboard(results or "results", output, profile, domain, algo, datasets, figures)
     files = [file for file in report.files if file.suffix != ".html"]
     if report.files:
         files.append(Path(output) / "index.html")

@@ -37,6 +37,9 @@ _STYLED: dict[str, tuple[str, Any]] = {
     if name
 }
 
+# Every colour that a method can have.
+PALETTE = tuple(dict.fromkeys((*COLOURS.values(), *_OTHER_COLOURS, *(colour for colour, _ in _STYLED.values()))))
+
 
 def canonical(method: str) -> str:
     """The one of a setting's names under which its results are compared."""

@@ -7,17 +7,20 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from cudc_bench.artefacts.again import base_id, collect_command
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import Record, settings_text
+from cudc_bench.errors import CudcBenchError
 from cudc_bench.text import plain
 
 from ..numbers.columns import column
 from ..numbers.table import Table
 from ..numbers.words import file_slug
+from .diagnostics import Comparison, Run, compare, read_diagnostics
 from .quality import Quality
 
 
@@ -69,19 +72,27 @@ class Local:
     Attributes:
         id, manifest: which.
         quality: what its states are worth, without the particle entropy; None where it has no physics states.
-        figures: SVG by name: ``density``, ``k``, ``losses``, ``representation``, as far as there is something to draw.
+        diagnostics: SHA-256 of the diagnostics beside it; empty without any.
     """
 
     id: str
     manifest: Manifest
     quality: Quality | None
-    figures: Mapping[str, bytes]
+    diagnostics: str = ""
 
     @property
     def digest(self) -> str:
         """Tells whether anything of it has changed."""
-        figures = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(self.figures.items()))
-        return hashlib.sha256("\n".join([self.manifest.model_dump_json(), repr(self.quality), *figures]).encode()).hexdigest()
+        return hashlib.sha256("\n".join([self.manifest.model_dump_json(), repr(self.quality), self.diagnostics]).encode()).hexdigest()
+
+    @cached_property
+    def collection(self) -> Comparison | None:
+        """What its collector measured of itself, by itself; None for imported data, which have no diagnostics, and for damaged ones."""
+        try:
+            (found,), _ = compare([Run(self.id, self.manifest, *read_diagnostics(self.id))])
+        except CudcBenchError:
+            return None  # That is no reason to leave the rest out.
+        return found
 
 
 def datasets_of(tables: Iterable[Table]) -> list[Dataset]:

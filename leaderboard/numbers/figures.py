@@ -8,10 +8,12 @@ from statistics import fmean, stdev
 
 from cudc_bench.artefacts.records import Record
 
+from ..methods import METHOD_ORDER
 from .grid import Entry
-from .overall import Estimate
+from .overall import LEAD, NAMES, Comparison, Estimate, Overall
 from .scale import References
 from .table import Runs, seed_scores
+from .words import ordered, short, span
 
 
 @dataclass(frozen=True)
@@ -100,3 +102,31 @@ def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float
     scores = [seed_scores(records, step) for step in steps]
     several = len({record.dataset.seed for record in records}) > 1
     return steps, [fmean(values) for values in scores], [stdev(values) for values in scores] if several else None
+
+
+def intervals(overall: Overall, comparison: Comparison) -> Intervals:
+    """A panel for each aggregate of one of its comparisons."""
+    panels = {label: {standing.method: standing.estimates[name] for standing in comparison.standings} for name, label in NAMES.items()}
+    what = f"Aggregates of scores ({comparison.axis}) and 95 % intervals"
+    return Intervals(title_of(what, overall, comparison), comparison.methods, panels, NAMES["optimality_gap"])
+
+
+def by_domain(overall: Overall, milestone: int) -> Intervals:
+    """The mean score of each method at a milestone, a panel for each domain and one for all together."""
+    compared = [one for one in overall.comparisons if one.milestone == milestone]
+    alike = len({one.axis for one in compared}) == 1
+    panels = {
+        one.scope if alike else f"{one.scope}\n({one.axis})": {standing.method: standing.estimates[LEAD] for standing in one.standings}
+        for one in compared
+    }
+    methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
+    seeds = span([count for one in compared for standing in one.standings for count in standing.counts], "seed")
+    what = f"{overall.algorithm}, profile {overall.group}: {short(milestone)} steps, {seeds}"
+    title = f"Mean score{f' ({compared[0].axis})' if alike else ''} and 95 % intervals by domain: {what}"
+    return Intervals(title, methods, panels, alike=alike)
+
+
+def title_of(what: str, overall: Overall, comparison: Comparison) -> str:
+    """What is drawn, with what the comparison is over."""
+    over = f"{comparison.title}, {comparison.seeds}{', preliminary' if comparison.preliminary else ''}"
+    return f"{what}: {overall.algorithm}, profile {overall.group}: {over}"

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import combinations
 from statistics import fmean
 
@@ -204,16 +204,28 @@ class Comparison:
         tested = [standing for standing in self.standings if standing.n > 1]
         if len(tested) < 2:
             return []
-        counts = [(x.counts, y.counts) for x, y in combinations(tested, 2)]
-        least = sorted({statistics.least_p(list(zip(x, y, strict=True))) for x, y in counts})
-        corrected = sorted({min(1.0, (len(tested) - 1) * p) for p in least})
+        least, corrected = self._least_values
         each = " in each domain" if len(self.domains) > 1 else ""
         alike = len({count for standing in tested for count in standing.counts}) == 1
         which = f"of {tested[0].n} against {tested[0].n} seeds{each}" if alike else "of its pairs, which have different numbers of seeds,"
         text = f"The permutation test {which} can give no p below {_numbers_text(least)}"
         if len(tested) > 2:
             text += f", which Holm's correction for {len(tested) - 1} comparisons makes {_numbers_text(corrected)}"
-        return [f"{text}{': no difference can pass it' if corrected[0] >= SIGNIFICANCE else ''}."]
+        return [f"{text}{': no difference can pass it' if self.hopeless else ''}."]
+
+    @cached_property
+    def _least_values(self) -> tuple[list[float], list[float]]:
+        """The least p-values of its pairs, ascending, and what Holm's correction makes of them."""
+        tested = [standing for standing in self.standings if standing.n > 1]
+        counts = [(x.counts, y.counts) for x, y in combinations(tested, 2)]
+        least = sorted({statistics.least_p(list(zip(x, y, strict=True))) for x, y in counts})
+        return least, sorted({min(1.0, (len(tested) - 1) * p) for p in least})
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether no difference between two of its methods can pass the test, whatever their scores."""
+        _, corrected = self._least_values
+        return not corrected or corrected[0] >= SIGNIFICANCE
 
     @property
     def points(self) -> float | None:

@@ -41,12 +41,14 @@ class Target:
         make: returns what is in each file, by its path below the folder; the same whenever the inputs are.
         inputs: all that ``make`` depends on, apart from this package's source.
         name: tells parts with one folder apart.
+        asked: whether it is wanted; otherwise its files stay as long as they are what they would be now, and are not made again.
     """
 
     folder: str
     make: Callable[[], Contents]
     inputs: tuple[str, ...]
     name: str = ""
+    asked: bool = True
 
     @property
     def place(self) -> str:
@@ -87,6 +89,7 @@ def build(
     """
     ledger = _read(output)
     try:
+        parts = [part for part in parts if part.asked or _is_current(output, part, part.key, ledger)]
         made = _bring(output, parts, ledger)
         if last is not None:
             there: dict[str, list[str]] = defaultdict(list)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -20,11 +20,8 @@ from cudc_bench.files import MOST_LINES, read_limited
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
-from ..datasets.diagnostics import Run, compare, diagnostics_path, read_diagnostics
-from ..datasets.quality import BINS, QUANTILES, Quality, QualityTable, RewardDensity, measure
-from ..show.figures.diagnostics import diagnostic_files
-from ..show.figures.drawing import figure_files
-from ..show.figures.quality import draw_density
+from ..datasets.diagnostics import diagnostics_path
+from ..datasets.quality import BINS, QUANTILES, Quality, RewardDensity, measure
 from .files import write_files
 
 FOLDER = "datasets"  # in the output, of these pages and of what they show
@@ -44,18 +41,16 @@ class _Density(BaseModel):
 
 
 class _Measures(BaseModel):
-    """What is kept of a dataset: numbers, and the digests of figures that lie beside this file."""
+    """What is kept of a dataset."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     code: str  # the version of this project that measured
-    diagnostics: str  # SHA-256 of the diagnostics that figures were drawn from; empty without any
     rewards: dict[str, _Density] | None
     coverage: tuple[int, float] | None
     action_std: tuple[float, ...]
     action_saturated: float
     action_correlation: float | None
-    figures: dict[str, str]
 
 
 class _Kept(BaseModel):
@@ -82,9 +77,9 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     if not present:
         return {}, remarks
     kept = _read(folder / MEASURES)
-    fresh = {one: kept[manifest.fingerprint] for _, one, manifest in present if _is_fresh(kept.get(manifest.fingerprint), one)}
+    fresh = {one: kept[manifest.fingerprint] for _, one, manifest in present if _is_fresh(kept.get(manifest.fingerprint))}
     todo = list({one: manifest for _, one, manifest in present if one not in fresh}.items())
-    measured: dict[str, tuple[Quality | None, dict[str, bytes]]] = {}
+    measured: dict[str, Quality | None] = {}
     looks = [partial(_look, one, manifest) for one, manifest in todo]
     for (one, _), result in zip(todo, computed(looks, "measuring datasets", "datasets", few=1), strict=True):
         if isinstance(result, str):
@@ -94,29 +89,23 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     locals_: dict[str, Local] = {}
     for dataset, one, manifest in present:
         if one in fresh:
-            old = fresh[one]
-            figures = {name: _kept_figure(folder / f"{dataset.slug}.{name}.svg", digest) for name, digest in old.figures.items()}
-            whole = {name: content for name, content in figures.items() if content is not None}
-            quality = _quality(one, manifest, old)
-            if len(whole) < len(figures):
-                whole = _draw(one, manifest, quality)
+            quality = _quality(one, manifest, fresh[one])
         elif one in measured:
-            quality, whole = measured[one]
+            quality = measured[one]
         else:
             continue
-        locals_[dataset.slug] = Local(one, manifest, quality, whole)
-        kept[manifest.fingerprint] = _measures(quality, _digest(one), whole)
+        locals_[dataset.slug] = Local(one, manifest, quality, _digest(one))
+        kept[manifest.fingerprint] = _measures(quality)
     text = _Kept(measures=dict(sorted(kept.items()))).model_dump_json(indent=1)
     write_files(folder, {MEASURES: f"{text}\n"})
     return locals_, remarks
 
 
-def _look(one: str, manifest: Manifest) -> tuple[Quality | None, dict[str, bytes]] | str:
-    """A dataset's measures and figures, or why it has none."""
+def _look(one: str, manifest: Manifest) -> Quality | str | None:
+    """A dataset's measures, None without physics states, or why it has none."""
     try:
         has_states = "infos/physics" in manifest.fields
-        quality = measure(one, manifest, check_domain(manifest.domain), lambda states: None)[0] if has_states else None
-        return quality, dict(_draw(one, manifest, quality))
+        return measure(one, manifest, check_domain(manifest.domain), lambda states: None)[0] if has_states else None
     except CudcBenchError as error:
         return plain(str(error))
 
@@ -150,8 +139,8 @@ def _read(path: Path) -> dict[str, _Measures]:
         return {}  # Measured again.
 
 
-def _is_fresh(measures: _Measures | None, dataset_id: str) -> bool:
-    return measures is not None and measures.code == version("cudc-bench") and measures.diagnostics == _digest(dataset_id)
+def _is_fresh(measures: _Measures | None) -> bool:
+    return measures is not None and measures.code == version("cudc-bench")
 
 
 def _digest(dataset_id: str) -> str:
@@ -161,25 +150,15 @@ def _digest(dataset_id: str) -> str:
         return ""
 
 
-def _kept_figure(path: Path, digest: str) -> bytes | None:
-    try:
-        content = read_limited(path)
-    except OSError:
-        return None
-    return content if hashlib.sha256(content).hexdigest() == digest else None
-
-
-def _measures(quality: Quality | None, diagnostics: str, figures: Mapping[str, bytes]) -> _Measures:
+def _measures(quality: Quality | None) -> _Measures:
     coverage = None if quality is None or quality.coverage is None else quality.coverage
     return _Measures(
         code=version("cudc-bench"),
-        diagnostics=diagnostics,
         rewards=None if quality is None else {task: _Density(**vars(one)) for task, one in quality.rewards.items()},
         coverage=None if coverage is None else (coverage.coverage_cells, coverage.coverage_entropy),
         action_std=() if quality is None else quality.action_std,
         action_saturated=0.0 if quality is None else quality.action_saturated,
         action_correlation=None if quality is None else quality.action_correlation,
-        figures={name: hashlib.sha256(content).hexdigest() for name, content in sorted(figures.items())},
     )
 
 
@@ -196,17 +175,3 @@ def _quality(dataset_id: str, manifest: Manifest, old: _Measures) -> Quality | N
         action_saturated=old.action_saturated,
         action_correlation=old.action_correlation,
     )
-
-
-def _draw(dataset_id: str, manifest: Manifest, quality: Quality | None) -> dict[str, bytes]:
-    files: dict[str, bytes] = {}
-    if quality is not None and quality.rewards:
-        tasks = tuple(quality.rewards)
-        table = QualityTable(plain(manifest.profile), plain(manifest.domain), tasks, "", (manifest.label,), (quality,))
-        files |= figure_files("density", lambda: draw_density(table))
-    try:
-        (comparison,), _ = compare([Run(dataset_id, manifest, *read_diagnostics(dataset_id))])
-        files |= diagnostic_files(comparison)
-    except CudcBenchError:
-        pass  # Imported data have no diagnostics, and damaged ones are no reason to leave the rest out.
-    return {name.removesuffix(".svg"): content for name, content in files.items() if name.endswith(".svg")}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from ..show.figures.quality import draw_density
 from ..show.figures.runs import curve_files, draw_bars, task_files
 from ..site.pages import site_files
 from ..site.parts import Run, Site, run_of
-from .incremental import Target, build, digest, holds
+from .incremental import Contents, Target, build, digest, holds
 from .measured import find_local
 
 
@@ -55,7 +55,7 @@ class Report:
 
 def make_report(
     loaded: Loaded, references: Mapping[tuple[str, str, str], Bounds], paths: Sequence[Path], records: Sequence[Record],
-    folder: Path | None, datasets: bool, whole: bool,
+    folder: Path | None, datasets: bool, figures: bool, whole: bool,
 ) -> Report:  # fmt: skip
     """What some of the loaded records say, and its files.
 
@@ -66,6 +66,7 @@ def make_report(
         records: those that count.
         folder: the output; None writes nothing.
         datasets: whether those that are here are measured.
+        figures: whether files of figures are drawn; those of an earlier build that are still right stay in any case.
         whole: whether all loaded records count.
     """
     blocks, problems = build_blocks(records, references)
@@ -75,15 +76,23 @@ def make_report(
     missing = find_missing(tables, [one for study in studies for one in study.wanted])
     files: list[Path] = []
     if folder is not None:
-        parts = [Target(table.slug, partial(table_files, table), (*loaded.inputs(table.records), *_measures(table))) for table in tables]
+        parts: list[Target] = []
+
+        def add(place: str, files: Callable[[], Contents], drawn: Callable[[], Contents], inputs: Sequence[str], name: str = "") -> None:
+            known = digest(inputs)
+            parts.append(Target(place, files, (known,), name))
+            parts.append(Target(place, drawn, (known,), f"{name} figures".strip(), figures))
+
+        for table in tables:
+            add(table.slug, partial(table_files, table), partial(table_figures, table), [*loaded.inputs(table.records), *_measures(table)])
         for one in overall:
             compared = [table for table in tables if (table.group, table.algorithm) == (one.group, one.algorithm)]
             inputs = [text for table in compared for text in (*loaded.inputs(table.records), *_measures(table))]
-            parts.append(Target(one.slug, partial(overall_files, one), tuple(inputs)))
+            add(one.slug, partial(overall_files, one), partial(overall_figure_files, one), inputs)
         every = tuple(map(repr, sorted(references.items())))
         for study in studies:
             inputs = [*loaded.inputs(study.records), study.caption, *study.notes, *every]
-            parts.append(Target(study.folder, partial(study_files, study), tuple(inputs), study.name))
+            add(study.folder, partial(study_files, study), partial(study_figure_files, study), inputs, study.name)
         hidden = tables_of(blocks, studies=True)
         local, remarks = find_local(datasets_of([*tables, *hidden]), folder) if datasets else ({}, [])
         problems += remarks
@@ -115,14 +124,11 @@ def _places(loaded: Loaded, paths: Sequence[Path]) -> dict[Run, str]:
 
 
 def table_files(table: Table) -> dict[str, str | bytes]:
-    """``table``, ``curves``, ``bars`` and ``paper`` in every format, and the curves of each task."""
+    """``table`` and ``paper`` in every format."""
     files: dict[str, str | bytes] = {
         "table.md": markdown.of_table(table),
         "table.tex": latex.of_table(table),
         "table.csv": csv.of_table(table),
-        **curve_files(table),
-        **figure_files("bars", lambda: draw_bars(table.runs)),
-        **task_files(table.runs),
     }
     paper = beside_paper(table)
     if paper is not None:
@@ -134,23 +140,27 @@ def table_files(table: Table) -> dict[str, str | bytes]:
     return files
 
 
+def table_figures(table: Table) -> dict[str, bytes]:
+    """``curves``, ``bars``, and the curves of each task."""
+    return {**curve_files(table), **figure_files("bars", lambda: draw_bars(table.runs)), **task_files(table.runs)}
+
+
 def overall_files(overall: Overall) -> dict[str, str | bytes]:
-    """``overall`` in every format, its scores, its power, and its figures."""
+    """``overall`` in every format, its scores and its power."""
     return {
         "overall.md": markdown.of_overall(overall),
         "overall.tex": latex.of_overall(overall),
         "overall.csv": csv.of_overall(overall),
         "scores.csv": csv.of_scores(overall),
         **({"power.csv": csv.of_power(overall)} if overall.power else {}),
-        **overall_figure_files(overall),
     }
 
 
 def study_files(study: Study) -> dict[str, str | bytes]:
-    """``<study>.md`` and ``.tex`` with all tables, ``<study>-<table>.csv`` for each, ``<study>-<figure>.svg`` and ``.pdf`` for each."""
+    """``<study>.md`` and ``.tex`` with all tables, and ``<study>-<table>.csv`` for each."""
     files: dict[str, str | bytes] = {f"{study.name}.md": markdown.of_study(study), f"{study.name}.tex": latex.of_study(study)}
     files |= {f"{study.name}-{grid.name}.csv": csv.of_grid(study, grid) for grid in study.tables}
-    return files | study_figure_files(study)
+    return files
 
 
 def quality_files(table: QualityTable) -> dict[str, str | bytes]:

@@ -7,9 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil
 
+from markupsafe import Markup
+
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
 
+from ..numbers.figures import by_domain, intervals, title_of
 from ..numbers.grid import Entry
 from ..numbers.missing import Missing
 from ..numbers.overall import LEAD, NAMES, PAIRS_CAPTION, PRELIMINARY, Comparison, Overall, Standing
@@ -18,8 +21,11 @@ from ..numbers.published import beside_paper
 from ..numbers.scale import Scale, largest_return
 from ..numbers.statistics import student
 from ..numbers.table import Table, seed_scores
+from ..numbers.verdict import task_verdict, verdict
 from ..numbers.words import short, span
-from .models import MISSING, Heading, HtmlTable, Item, Page, Row, Section, bar, dots
+from ..show.figures.drawing import seeds_text
+from .figures import curves, estimates, profiles, ranks, returns, with_references
+from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section, bar, dots
 from .parts import (
     ComparisonPage,
     Paper,
@@ -40,6 +46,8 @@ from .parts import (
 from .studies import Studies
 
 _FURTHER = tuple(name for name in NAMES if name != LEAD)
+BEST_TEST = "two-sided Welch test over seeds, Holm's correction within the task, p ≥ 0.05"
+_MARKS = " Thick: Student's t over datasets; thin and grey above it: the stratified bootstrap, which is too narrow; hollow: a single seed."
 _MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
 
 
@@ -102,8 +110,7 @@ class Boards(Studies):
             "The unit of replication is the collector seed, that is: the dataset. Several training runs on one dataset count once, as"
             " their mean; ± is the sample standard deviation over seeds, and (5) or n the number of them.",
             "Scores are those after the last gradient step of each milestone, never the best of a training run.",
-            "Bold and marked ● in a task: the largest mean, and all that are not significantly worse (two-sided Welch test over seeds,"
-            " Holm's correction within the task, p ≥ 0.05).",
+            f"Bold and marked ● in a task: the largest mean, and all that are not significantly worse ({BEST_TEST}).",
             "Scores are normalised returns. Mean: over tasks of the means over seeds. IQM: mean without the lowest and highest quarter of"
             " runs; of tasks of unequal scale it leaves out the easiest and the hardest. Intervals: 95 %, by Student's t over datasets,"
             " each with all its tasks. P(rank 1): how probable it is by these that a method has the largest mean; only of methods with the"
@@ -158,9 +165,7 @@ class Boards(Studies):
         if board.overall is not None:
             parts += self._comparisons(board, board.overall)
         parts += self.studies_list(self.studies_of(board))
-        scopes = {one.scope for one in board.overall.comparisons} if board.overall else set()
-        shown = {"intervals", "profiles", "ranks", *({"domains"} if len(scopes) > 1 else ())}
-        parts += self.further(board.slug, shown, {"overall", "scores", "power"})
+        parts += self.further(board.slug, {"overall", "scores", "power", "intervals", "profiles", "ranks", "domains"})
         missing = [one for one in self.site.missing if (one.group, one.algorithm) == (board.group, board.algorithm)]
         if missing:
             parts.append(_missing(missing))
@@ -168,14 +173,24 @@ class Boards(Studies):
 
     def _ranking(self, board: ComparisonPage, overall: Overall) -> list[Section]:
         headline = overall.headline
-        grids = [self._standings(board, one) for one in overall.comparisons if one.scope == headline.scope]
-        figures = self.figure(board.slug, "intervals", f"Aggregates of each method with 95 % intervals, {headline.title}; numbers above.")
+        compared = [one for one in overall.comparisons if one.scope == headline.scope]
+        figures = tuple(
+            self._drawn(one.milestone, estimates(intervals(overall, one), self._styles), intervals(overall, one).title,
+                        f"Aggregates of each method with 95 % intervals, {one.title}; numbers in the table above.", after=_MARKS)
+            for one in compared
+        )  # fmt: skip
         return [Section(
-            f"Ranking over {headline.scope}", grids=tuple(grids), figures=figures,
+            f"Ranking over {headline.scope}", grids=tuple(self._standings(board, one) for one in compared), figures=figures,
+            verdict=_verdicts(board, headline.scope),
             downloads=self.downloads(board.slug, ("overall", "scores", "intervals")),
             text=(overall.caption, *headline.remarks, *(f"Left out: {line}" for line in headline.left_out)),
             lead=f"{PRELIMINARY}" if headline.preliminary else "",
         )]  # fmt: skip
+
+    @staticmethod
+    def _drawn(milestone: int | None, panels: tuple[Markup, ...], caption: str, alt: str, legend: tuple[Item, ...] = (), after: str = ""
+               ) -> Figure:  # fmt: skip
+        return Figure(panels, alt, f"{caption}.{after}", legend, milestone)
 
     def _standings(self, board: ComparisonPage, comparison: Comparison) -> HtmlTable:
         standings = sorted(comparison.standings, key=lambda one: -one.estimates[LEAD].value)
@@ -187,7 +202,12 @@ class Boards(Studies):
         )  # fmt: skip
         lines = [Row(self.name(one.method), self._standing(one, largest)) for one in standings]
         caption = f"{comparison.title}, {comparison.seeds}, by {NAMES[LEAD]}"
-        return HtmlTable(caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods")
+        notes = f"Interval: 95 %, by Student's t over datasets; of a single seed there is none. The picture has it from 0 to {largest:g}."
+        if not comparison.unranked:
+            notes += " P(rank 1): how probable it is that the method has the largest mean."
+        return HtmlTable(
+            caption, "method", columns, tuple(lines), milestone=comparison.milestone, filters="methods", notes=(notes,), sorted_by=0
+        )
 
     def _standing(self, standing: Standing, largest: float) -> tuple[Item, ...]:
         found = standing.estimates[LEAD]
@@ -209,12 +229,20 @@ class Boards(Studies):
         if overall.power_text:
             downloads = self.downloads(board.slug, ("power",))
             found.append(Section("What so many seeds can show", grids=_power(overall), text=(overall.power_text,), downloads=downloads))
-        figures = (
-            *self.figure(board.slug, "profiles", f"Performance profiles, {headline.title}: share of runs above each score."),
-            *self.figure(board.slug, "ranks", f"Probability of each rank by the mean, {headline.title}."),
-        )
-        if figures:
-            found.append(Section("How certain that is", figures=figures, downloads=self.downloads(board.slug, ("profiles", "ranks"))))
+        compared = [one for one in overall.comparisons if one.scope == headline.scope]
+        figures = []
+        for one in compared:
+            figures.append(self._drawn(
+                one.milestone, profiles(one, self._styles), title_of("Performance profiles, band: 95 %", overall, one),
+                f"Performance profiles, {one.title}: share of runs above each score.", self.legend(one.methods),
+            ))  # fmt: skip
+            if panels := ranks(one, self._styles):
+                figures.append(self._drawn(
+                    one.milestone, panels, title_of("Probability of each rank by the mean, in per cent", overall, one),
+                    f"Probability of each rank by the mean, {one.title}.",
+                ))  # fmt: skip
+        downloads = self.downloads(board.slug, ("profiles", "ranks"))
+        found.append(Section("How certain that is", figures=tuple(figures), downloads=downloads))
         others = [one for one in overall.comparisons if one.scope != headline.scope]
         if others:
             parts = [
@@ -223,14 +251,16 @@ class Boards(Studies):
                                    for line in (*one.remarks, *(f"Left out: {line}" for line in one.left_out))))
                 for scope in dict.fromkeys(one.scope for one in others)
             ]  # fmt: skip
-            figures = self.figure(
-                board.slug, "domains", f"Mean score of each method with 95 % intervals on each domain, {short(headline.milestone)} steps."
-            )
+            by_domains = tuple(
+                self._drawn(milestone, estimates(by_domain(overall, milestone), self._styles), by_domain(overall, milestone).title,
+                            f"Mean score of each method with 95 % intervals on each domain, {short(milestone)} steps.", after=_MARKS)
+                for milestone in dict.fromkeys(one.milestone for one in overall.comparisons)
+            )  # fmt: skip
             downloads = self.downloads(board.slug, ("domains",))
-            found.append(Section("Ranking on each domain", figures=figures, downloads=downloads, parts=tuple(parts), folded=True))
+            found.append(Section("Ranking on each domain", figures=by_domains, downloads=downloads, parts=tuple(parts), folded=True))
         pairs = tuple(self._pairs(one) for one in overall.comparisons if one.scope == headline.scope and one.pairs)
         if pairs:
-            found.append(Section("Method against method", grids=pairs, text=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),), folded=True))
+            found.append(Section("Method against method", grids=pairs, folded=True))
         return found
 
     def _pairs(self, comparison: Comparison) -> HtmlTable:
@@ -245,7 +275,7 @@ class Boards(Studies):
             lines.append(Row(self.name(method), tuple(items)))
         return HtmlTable(f"Probability that the row's method is better than the column's, {comparison.title}", "better than",
                     tuple(Heading(method) for method in comparison.methods), tuple(lines), milestone=comparison.milestone,
-                    filters="methods")  # fmt: skip
+                    filters="methods", notes=(PAIRS_CAPTION.replace("Bold:", "Bold and ●:"),))  # fmt: skip
 
     def _matrix(self, board: ComparisonPage, milestone: int) -> HtmlTable:
         columns, groups = [], []
@@ -253,37 +283,61 @@ class Boards(Studies):
             groups.append((table.domain, len(table.tasks), domain_path(table)))
             columns += [Heading(task, link=task_path(table, task)) for task in table.tasks]
         lines = []
-        for method in board.methods:
+        for method in self._by_result(board, milestone):
             items: list[Item] = []
             for table in board.tables:
                 items += [self.cell(table, milestone, task, method) for task in table.tasks]
             lines.append(Row(self.name(method), tuple(items)))
-        lines += self.ends([(table, task) for table in board.tables for task in table.tasks], lambda name, value: [self.end(name, value)])
+        foot = self.ends([(table, task) for table in board.tables for task in table.tasks], lambda name, value: [self.end(name, value)])
         caption = (
             f"{board.algorithm}, profile {brief(board.group)}, {short(milestone)} gradient steps: mean ± sample standard deviation (seeds)"
         )
-        return HtmlTable(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods")
+        notes = (
+            f"Bold and ●: the task's largest mean, and all that are not significantly worse ({BEST_TEST}). ±: the sample standard deviation"
+            f" over collector seeds, whose number stands in brackets. {MISSING}: no run. Rows: by the ranking at these steps.",
+        )
+        return HtmlTable(caption, "method", tuple(columns), tuple(lines), tuple(groups), milestone, "methods", tuple(foot), notes)
+
+    @staticmethod
+    def _by_result(board: ComparisonPage, milestone: int) -> list[str]:
+        """Its methods, those first that come first where they are compared on all of its domains; then those that are not compared."""
+        comparisons = board.overall.comparisons if board.overall else ()
+        domains = {table.domain for table in board.tables}
+        compared = [one for one in comparisons if one.milestone == milestone and set(one.domains) <= domains]
+        compared.sort(key=lambda one: -len(one.domains))
+        order = [one.method for found in compared[:1] for one in sorted(found.standings, key=lambda one: -one.estimates[LEAD].value)]
+        return sorted(board.methods, key=lambda method: order.index(method) if method in order else len(order))
 
     def domain(self, board: ComparisonPage, table: Table) -> Page:
         """The page of a table."""
         single = replace(board, tables=(table,))
+        runs = table.runs
+        of = f"{table.algorithm} on {table.domain}, profile {brief(table.group)}"
         sections = [Section(
-            "Results", grids=tuple(self._matrix(single, milestone) for milestone in reversed(table.milestones)),
+            "Results", verdict=_verdicts(single, table.domain),
+            grids=tuple(self._matrix(single, milestone) for milestone in reversed(table.milestones)),
             downloads=self.downloads(table.slug, ("table",)), text=(table.caption,),
         )]  # fmt: skip
-        curves = self.figure(table.slug, "curves", f"Learning curves on {table.domain}: return over gradient steps, a panel for each task.")
-        if curves:
-            sections.append(Section("Learning curves", figures=curves, downloads=self.downloads(table.slug, ("curves",))))
+        curved = self._drawn(
+            None, curves(runs, self._styles), f"{of}: {seeds_text(runs.seeds)}, upright dots: milestones",
+            f"Learning curves on {table.domain}: return over gradient steps, a panel for each task.", self.legend(runs.methods),
+            with_references(runs.references),
+        )  # fmt: skip
+        sections.append(Section("Learning curves", figures=(curved,), downloads=self.downloads(table.slug, ("curves",))))
         paper = beside_paper(table)
         if paper is not None:
             text = (paper.caption, "The numbers stand in the table above, behind the switch.")
             sections.append(Section("Beside the paper", text=text, downloads=self.downloads(table.slug, ("paper",))))
-        bars = self.figure(table.slug, "bars", f"Mean returns on {table.domain} at each milestone, a panel for each task.")
-        if bars:
-            sections.append(Section("At the milestones", figures=bars, downloads=self.downloads(table.slug, ("bars",))))
+        bars = tuple(
+            self._drawn(milestone, returns(runs, milestone, self._styles),
+                        f"{of}, after {short(milestone)} gradient steps: {seeds_text(runs.seeds, 'bar')}",
+                        f"Mean returns on {table.domain} after {short(milestone)} gradient steps, a panel for each task; numbers above.",
+                        after=with_references(runs.references))
+            for milestone in reversed(table.milestones)
+        )  # fmt: skip
+        sections.append(Section("At the milestones", figures=bars, downloads=self.downloads(table.slug, ("bars",))))
         sections += self.studies_list([study for study in self.site.studies if study.folder == table.slug])
-        own = {f"task-{task}" for task in table.tasks}
-        sections += self.further(table.slug, {"curves", "bars", *own}, {"table", "paper"})
+        sections += self.further(table.slug, {"curves", "bars", "table", "paper", *(f"task-{task}" for task in table.tasks)})
         sections.append(Section("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
         lead = (f"{domain_text(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
         return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(sections))
@@ -292,17 +346,19 @@ class Boards(Studies):
         """The page of a task of a table."""
         largest = largest_return(table.domain, task)
         grids = [self._task_grid(table, milestone, task) for milestone in reversed(table.milestones)]
-        name = f"task-{task}" if f"task-{task}.svg" in self.site.files.get(table.slug, ()) else "curves"
+        runs = table.runs
         what = f"Learning curves of all methods on {table.domain} {task}: mean return over gradient steps, band: one standard deviation."
         sections = [
-            Section("Results", grids=tuple(grids), text=(
-                "Interval: 95 % of the mean, by Student's t over collector seeds; of few seeds it can pass what is possible. Seeds: a dot"
-                " for each, a bar at the mean"
-                + (f", from 0 to {largest:,.0f}" if largest else "") + ". Paper: as reported there, from another implementation, not to be"
-                " ranked with ours; difference in the paper's standard deviations.",
+            Section("Results", grids=tuple(grids), verdict=tuple(
+                (milestone, task_verdict(_results(table, milestone, task))) for milestone in reversed(table.milestones)
             )),
-            Section("Learning curves", figures=self.figure(table.slug, name, what), downloads=self.downloads(table.slug, (name,))),
         ]  # fmt: skip
+        if task in runs.tasks:
+            of = f"{table.algorithm} on {table.domain} {task}, profile {brief(table.group)}"
+            caption = f"{of}: {seeds_text(runs.seeds)}, upright dots: milestones"
+            figure = self._drawn(None, curves(runs, self._styles, task), caption, what, self.legend(runs.methods),
+                                 with_references({task: runs.references[task]} if task in runs.references else {}))  # fmt: skip
+            sections.append(Section("Learning curves", figures=(figure,), downloads=self.downloads(table.slug, (f"task-{task}",))))
         lead = (
             f"{table.algorithm}, profile {brief(table.group)}."
             + (f" The largest possible return is {largest:,.0f}." if largest else " The largest possible return is not known."),
@@ -316,7 +372,7 @@ class Boards(Studies):
 
     def _task_grid(self, table: Table, milestone: int, task: str) -> HtmlTable:
         largest, scale = largest_return(table.domain, task), self.scale(table, task)
-        cells = {method: table.cells.get((milestone, task, method)) for method in table.methods}
+        cells = _results(table, milestone, task)
         papers = self.paper(table)
         columns = [Heading("mean"), Heading("std"), Heading("95 % interval", sorts=False), Heading("seeds"),
                    Heading("each seed", number=False, sorts=False)]  # fmt: skip
@@ -324,9 +380,11 @@ class Boards(Studies):
         if with_paper:
             columns += [Heading("paper"), Heading("difference")]
         lines = []
-        reach = largest or max([1.0, *(abs(cell.value) for cell in cells.values() if cell)])
+        order = sorted(cells, key=lambda method: -cells[method].value)
+        reach = largest or max([1.0, *(abs(cell.value) for cell in cells.values())])
         together = by_column(table, task)
-        for method, cell in cells.items():
+        for method in (*order, *(method for method in table.methods if method not in cells)):
+            cell = cells.get(method)
             items = [Item()] * len(columns)
             if cell is not None:
                 link = runs_path(table, task, method, milestone)
@@ -336,13 +394,22 @@ class Boards(Studies):
                 if with_paper:
                     items += _paper_items(papers.get((milestone, task, method)), scale)
             lines.append(Row(self.name(method), tuple(items)))
-        lines += self.ends([(table, task)], lambda name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
+        foot = self.ends([(table, task)], lambda name, value: [self.end(name, value, 1), *[Item()] * (len(columns) - 1)])
         low, high = table.episodes[milestone]
         caption = (
             f"{table.domain} {task} after {short(milestone)} gradient steps, evaluation episodes:"
             f" {low if low == high else f'{low} to {high}'}"
         )
-        return HtmlTable(caption, "method", tuple(columns), tuple(lines), milestone=milestone, filters="methods")
+        notes = [
+            f"Bold and ●: the largest mean, and all that are not significantly worse ({BEST_TEST}). Std: the sample standard deviation over"
+            " collector seeds. Interval: 95 % of the mean, by Student's t over collector seeds; of few seeds it can pass what is possible."
+            f" Each seed: a dot for each, a bar at the mean{f', from 0 to {largest:,.0f}' if largest else ''}. {MISSING}: no run."
+        ]
+        if with_paper:
+            theirs = "Paper: as reported there, from another implementation, not to be ranked with ours."
+            notes.append(f"{theirs} Difference: in the paper's standard deviations, σ.")
+        return HtmlTable(caption, "method", tuple(columns), tuple(lines), milestone=milestone, filters="methods", foot=tuple(foot),
+                         notes=tuple(notes), sorted_by=0)  # fmt: skip
 
     def _numbers(self, cell: Entry, scale: Scale | None, link: str) -> list[Item]:
         within = None if cell.std is None else student(cell.value, cell.std, cell.n)
@@ -355,6 +422,27 @@ class Boards(Studies):
             Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=f"{scale.width(cell.std):.3f}" if scale else MISSING),
             Item() if within is None else Item(f"{within.low:.0f} to {within.high:.0f}", scaled=scaled(within.low, within.high)),
         ]
+
+
+def _results(table: Table, milestone: int, task: str) -> dict[str, Entry]:
+    """The results that a task has, by method."""
+    return {method: cell for method in table.methods if (cell := table.cells.get((milestone, task, method)))}
+
+
+def _verdicts(board: ComparisonPage, scope: str) -> tuple[tuple[int, tuple[str, ...]], ...]:
+    """What the tests of each milestone say, over all domains or one."""
+    overall = board.overall
+    if overall is None:
+        return ()
+    compared = [one for one in overall.comparisons if one.scope == scope]
+    return tuple((one.milestone, (*verdict(overall, one), *_absent(board, one))) for one in compared)
+
+
+def _absent(board: ComparisonPage, comparison: Comparison) -> tuple[str, ...]:
+    """Which of its methods a comparison says nothing of."""
+    absent = [method for method in board.methods if method not in comparison.methods]
+    them = "it" if len(absent) == 1 else "them"
+    return (f"Not compared, since too little is there of {them}: {', '.join(absent)}.",) if absent else ()
 
 
 def _power(overall: Overall) -> tuple[HtmlTable, ...]:

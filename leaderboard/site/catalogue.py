@@ -11,12 +11,14 @@ from cudc_bench.data.card import facts_of
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
+from ..methods import styles
 from ..numbers.columns import column
 from ..numbers.overall import LEAD, NAMES
 from ..numbers.scale import CEILING, FLOOR
 from ..numbers.statistics import student
 from ..numbers.table import Table
 from ..numbers.words import short
+from .figures import collection, density
 from .methods import describe
 from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import (
@@ -35,6 +37,13 @@ from .parts import (
     task_path,
     version,
 )
+
+_ALTS = {
+    "density": "Density of the rewards of single steps, a panel for each task; quantiles in the table.",
+    "k": "k over environment steps.",
+    "losses": "Losses of the collector over environment steps.",
+    "representation": "What shows whether the collector's representation collapses, over environment steps.",
+}
 
 
 class Catalogue(Parts):
@@ -202,9 +211,9 @@ def _standings(board: ComparisonPage, method: str) -> list[tuple[str, Item]]:
 
 
 def _measured(dataset: Dataset, local: Local) -> list[Section]:
+    look = styles((dataset.method,))[dataset.method]
     quality = local.quality
     found = [Section("Its manifest", facts=tuple((name, Item(value)) for name, value in facts_of(local.manifest)))]
-    prefix = f"datasets/{dataset.slug}"
     grids = []
     facts: list[tuple[str, Item]] = []
     if quality is not None:
@@ -231,12 +240,8 @@ def _measured(dataset: Dataset, local: Local) -> list[Section]:
                   ("actions at their bounds", Item(f"{quality.action_saturated:.1%}"))]  # fmt: skip
         if quality.action_correlation is not None:
             facts.append(("correlation of consecutive actions", Item(f"{quality.action_correlation:.2f}")))
-    alts = {
-        "density": "Density of the rewards of single steps, a panel for each task; quantiles in the table.",
-        "k": "k over environment steps.",
-        "losses": "Losses of the collector over environment steps.",
-        "representation": "What shows whether the collector's representation collapses, over environment steps.",
-    }
-    figures = tuple(Figure(f"{prefix}.{name}.svg", alt) for name, alt in alts.items() if name in local.figures)
-    found.append(Section("Measures", grids=tuple(grids), facts=tuple(facts), figures=figures))
+    figures = [] if quality is None else [Figure(density(quality, look), _ALTS["density"], "Density of the rewards of single steps.")]
+    if local.collection is not None:
+        figures += [Figure(panels, _ALTS[name], _ALTS[name]) for name, panels in collection(local.collection).items()]
+    found.append(Section("Measures", grids=tuple(grids), facts=tuple(facts), figures=tuple(one for one in figures if one.panels)))
     return found

@@ -1,4 +1,4 @@
-"""What the pages of the static site show, before it is HTML: grids, figures, downloads, and exhibits, which are these under one title.
+"""What the pages of the static site show, before it is HTML: grids, figures, pictures, downloads, and what has these under one title.
 
 A :class:`Section` is the one way onto a page. Links are paths from the site's root, pages make them relative. All text is plain and is
 escaped when it is drawn.
@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
+
+from .palette import colour_class
 
 MISSING = "–"
 
@@ -80,6 +82,9 @@ class HtmlTable:
         groups: a row above the heads: texts, how many columns each spans, and where it leads to.
         milestone: the gradient steps that it belongs to, for the switch between milestones.
         filters: what its rows are, such as ``"methods"``, if readers may filter them.
+        foot: rows below that keep their place whatever the others are sorted by.
+        notes: what its marks mean.
+        sorted_by: the place among the columns of that by which its rows are sorted, the largest first.
     """
 
     caption: str
@@ -89,20 +94,47 @@ class HtmlTable:
     groups: tuple[tuple[str, int, str | None], ...] = ()
     milestone: int | None = None
     filters: str = ""
+    foot: tuple[Row, ...] = ()
+    notes: tuple[str, ...] = ()
+    sorted_by: int | None = None
 
     @property
     def items(self) -> list[Item]:
         """All cells."""
-        return [item for line in self.lines for item in line.items]
+        return [item for line in (*self.lines, *self.foot) for item in line.items]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """An image below the site's root, the words for those who do not see it, and a caption."""
+    """Panels that are drawn in the page, as inline SVG without styles.
+
+    Attributes:
+        panels: beside or below one another.
+        alt: the words for those who do not see them.
+        caption: what they show.
+        legend: what the lines are; empty where each has its name.
+        milestone: the gradient steps that it belongs to, for the switch between milestones.
+    """
+
+    panels: tuple[Markup, ...]
+    alt: str
+    caption: str = ""
+    legend: tuple[Item, ...] = ()
+    milestone: int | None = None
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image below the site's root, or a video, the words for those who do not see it, and a caption."""
 
     path: str
     alt: str
     caption: str = ""
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a video."""
+        return self.path.endswith(".mp4")
 
 
 @dataclass(frozen=True)
@@ -112,7 +144,8 @@ class Section:
     Attributes:
         title: the heading.
         grids: tables; several if they are of different milestones.
-        figures: images.
+        verdict: sentences above everything else, for each milestone that they belong to.
+        figures: drawings; ``pictures``: images and videos.
         downloads: names and paths of files.
         lead: a paragraph above; ``text``: paragraphs below, less important.
         prose: paragraphs of a docstring, whose indented ones are formulas and whose double backticks mean code.
@@ -128,6 +161,8 @@ class Section:
     title: str
     grids: tuple[HtmlTable, ...] = ()
     figures: tuple[Figure, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    verdict: tuple[tuple[int | None, tuple[str, ...]], ...] = ()
     downloads: tuple[tuple[str, str], ...] = ()
     lead: str = ""
     text: tuple[str, ...] = ()
@@ -144,6 +179,11 @@ class Section:
     def every_grid(self) -> list[HtmlTable]:
         """Its tables and those of its parts."""
         return [*self.grids, *(grid for part in self.parts for grid in part.every_grid)]
+
+    @property
+    def every_figure(self) -> list[Figure]:
+        """Its drawings and those of its parts."""
+        return [*self.figures, *(figure for part in self.parts for figure in part.every_figure)]
 
 
 @dataclass(frozen=True)
@@ -167,6 +207,11 @@ class Page:
     sections: tuple[Section, ...] = ()
 
     @property
+    def figures(self) -> list[Figure]:
+        """All of its drawings."""
+        return [figure for section in self.sections for figure in section.every_figure]
+
+    @property
     def grids(self) -> list[HtmlTable]:
         """All of its tables."""
         return [grid for section in self.sections for grid in section.every_grid]
@@ -174,7 +219,8 @@ class Page:
     @property
     def milestones(self) -> list[int]:
         """Of its tables, the last first."""
-        return sorted({grid.milestone for grid in self.grids if grid.milestone is not None}, reverse=True)
+        shown: list[HtmlTable | Figure] = [*self.grids, *self.figures]
+        return sorted({one.milestone for one in shown if one.milestone is not None}, reverse=True)
 
     @property
     def filters(self) -> str:
@@ -198,9 +244,9 @@ def bar(low: float, value: float, high: float, largest: float, colour: str) -> M
     return Markup(
         '<svg class="strip" width="120" height="16" viewBox="0 0 120 16" aria-hidden="true">'
         '<rect class="panel" width="120" height="16" rx="3"/><path class="axis" d="M4 8H116"/>'
-        '<path d="M{a:.1f} 8H{b:.1f}" stroke="{c}" stroke-width="5" stroke-opacity="0.55"/>'
-        '<circle cx="{x:.1f}" cy="8" r="3.5" fill="{c}"/></svg>'
-    ).format(a=a, b=b, x=x, c=colour)
+        '<g class="{c}"><path d="M{a:.1f} 8H{b:.1f}" stroke="currentColor" stroke-width="5" stroke-opacity="0.55"/>'
+        '<circle cx="{x:.1f}" cy="8" r="3.5" fill="currentColor"/></g></svg>'
+    ).format(a=a, b=b, x=x, c=colour_class(colour))
 
 
 def dots(values: Sequence[float], mean: float, largest: float, colour: str) -> Markup:
@@ -210,19 +256,18 @@ def dots(values: Sequence[float], mean: float, largest: float, colour: str) -> M
         return 4 + 112 * min(max(value / largest, 0.0), 1.0)
 
     marks = Markup().join(
-        Markup('<circle cx="{x:.1f}" cy="8" r="2.6" fill="{c}" fill-opacity="0.5"/>').format(x=place(one), c=colour) for one in values
+        Markup('<circle cx="{x:.1f}" cy="8" r="2.6" fill="currentColor" fill-opacity="0.5"/>').format(x=place(one)) for one in values
     )
     return Markup(
         '<svg class="strip" width="120" height="16" viewBox="0 0 120 16" aria-hidden="true">'
-        '<rect class="panel" width="120" height="16" rx="3"/><path class="axis" d="M4 8H116"/>{marks}'
-        '<path d="M{x:.1f} 2V14" stroke="{c}" stroke-width="2"/></svg>'
-    ).format(marks=marks, x=place(mean), c=colour)
+        '<rect class="panel" width="120" height="16" rx="3"/><path class="axis" d="M4 8H116"/><g class="{c}">{marks}'
+        '<path d="M{x:.1f} 2V14" stroke="currentColor" stroke-width="2"/></g></svg>'
+    ).format(marks=marks, x=place(mean), c=colour_class(colour))
 
 
 def swatch(colour: str, dashes: str) -> Markup:
     """A line as figures draw a method's, as inline SVG; ``dashes`` as SVG's ``stroke-dasharray``."""
     return Markup(
-        '<svg class="swatch" width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">'
-        '<rect class="panel" width="22" height="10" rx="2"/>'
-        '<path d="M3 5H19" stroke="{c}" stroke-width="2.5"{d}/></svg>'
-    ).format(c=colour, d=Markup(' stroke-dasharray="{}"').format(dashes) if dashes else "")
+        '<svg class="swatch {c}" width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">'
+        '<path d="M1 5H21" stroke="currentColor" stroke-width="2.5"{d}/></svg>'
+    ).format(c=colour_class(colour), d=Markup(' stroke-dasharray="{}"').format(dashes) if dashes else "")

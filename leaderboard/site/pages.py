@@ -26,6 +26,7 @@ from ..numbers.words import short
 from .boards import Boards
 from .catalogue import Catalogue
 from .models import Page
+from .palette import palette_css
 from .parts import Site, brief
 from .runs import Runs
 
@@ -37,14 +38,12 @@ def site_files(site: Site) -> dict[str, str | bytes]:
     here = Path(__file__).parent
     template = html_templates(here).get_template("page.html.j2")
     files: dict[str, str | bytes] = {f"site/{name}": (here / name).read_bytes() for name in ASSETS}
+    files["site/site.css"] = (here / "site.css").read_text("utf-8") + palette_css()
     for page in _Pages(site).every():
         if page.path in files:
             raise AssertionError(f"two pages want to be {page.path}")
         files[page.path] = template.render(page=page, to=_Links(page.path), style="site/site.css", script="site/site.js",
                                             identify=_Ids(), short=short)  # fmt: skip
-    for dataset in site.datasets:
-        if dataset.slug in site.local:
-            files |= {f"datasets/{dataset.slug}.{name}.svg": content for name, content in site.local[dataset.slug].figures.items()}
     return files
 
 

@@ -9,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import reference_path
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
@@ -25,11 +27,11 @@ from ..numbers.scale import CEILING, FLOOR, LABELS, Scale, scale_of
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import file_slug, group_slug, ordered, span
-from .models import MISSING, Figure, Item, Row, Section, swatch
+from .drawing import DASHES
+from .models import MISSING, Item, Row, Section, swatch
 
 Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
-_DASHES = {"-": "", "--": "5 2", "-.": "5 2 1.5 2", ":": "1.5 2"}
 _LONG = 90  # letters of a name that stands in a line with others
 
 
@@ -75,7 +77,10 @@ class Site:
             others = [table for table in hidden[group, algorithm] if all(table is not one for one in tables)]
             boards.append(ComparisonPage(tables[0].group, algorithm, slug, tuple(tables), overall, tuple(others)))
         first = {"paper": 0, "cpu": 1}
-        return sorted(boards, key=lambda one: (first.get(one.group, 2), one.algorithm != "td3", -one.runs, one.group, one.algorithm))
+        # A single method is no comparison, whatever it was made with.
+        return sorted(boards, key=lambda one: (
+            len(one.methods) < 2, first.get(one.group, 2), one.algorithm != "td3", -one.runs, one.group, one.algorithm,
+        ))  # fmt: skip
 
     @cached_property
     def datasets(self) -> list[Dataset]:
@@ -115,7 +120,6 @@ class ComparisonPage:
 
     @property
     def name(self) -> str:
-        """A method as the head of a row: its line in figures, and the way to its page."""
         """For links."""
         return f"{self.algorithm}, profile {brief(self.group)}"
 
@@ -143,6 +147,12 @@ class ComparisonPage:
     def preliminary(self) -> bool:
         """Whether a cell has fewer than five seeds."""
         return any(cell.n < ENOUGH_SEEDS for table in self.tables for cell in table.cells.values())
+
+
+def line_swatch(style: Mapping[str, Any]) -> Markup:
+    """A line as figures draw it."""
+    dashes = style["linestyle"]
+    return swatch(str(style["color"]), DASHES[dashes] if isinstance(dashes, str) else " ".join(f"{one:g}" for one in dashes[1]))
 
 
 def run_of(record: Record) -> Run:
@@ -181,17 +191,15 @@ class Parts:
         """A method as the head of a row: its line in figures, and the way to its page."""
         if method not in self._styles:
             return Item(method, link=method_path(method))
-        style = self._styles[method]["linestyle"]
-        dashes = _DASHES[style] if isinstance(style, str) else " ".join(f"{one:g}" for one in style[1])
-        return Item(method, link=method_path(method), picture=swatch(self.colour(method), dashes))
+        return Item(method, link=method_path(method), picture=line_swatch(self._styles[method]))
 
     def colour(self, method: str) -> str:
         """Its colour in figures."""
         return str(self._styles[method]["color"])
 
-    def figure(self, slug: str, name: str, alt: str) -> tuple[Figure, ...]:
-        """A figure of a slug's folder, if it is there."""
-        return (Figure(f"{slug}/{name}.svg", alt),) if f"{name}.svg" in self.site.files.get(slug, ()) else ()
+    def legend(self, methods: Iterable[str]) -> tuple[Item, ...]:
+        """Methods as lines of a figure."""
+        return tuple(self.name(method) for method in methods)
 
     def downloads(self, slug: str, names: Iterable[str]) -> tuple[tuple[str, str], ...]:
         """Those of some files of a slug's folder that are there."""
@@ -199,17 +207,15 @@ class Parts:
         kinds = ("md", "tex", "csv", "svg", "pdf")
         return tuple((f"{name}.{kind}", f"{slug}/{name}.{kind}") for name in names for kind in kinds if f"{name}.{kind}" in there)
 
-    def further(self, slug: str, figures: Collection[str], tables: Collection[str]) -> list[Section]:
-        """Files of a folder that nothing else shows: figures, and what can be downloaded."""
+    def further(self, slug: str, shown: Collection[str]) -> list[Section]:
+        """Files of a folder that nothing else offers."""
         there = sorted(self.site.files.get(slug, ()))
         of_studies = {study.name for study in self.site.studies if study.folder == slug}
-        shown = {*figures, *tables}
         there = [name for name in there if not name.startswith(tuple(f"{one}{mark}" for one in of_studies for mark in ".-"))]
         rest = list(dict.fromkeys(name.rpartition(".")[0] for name in there if name.rpartition(".")[0] not in shown))
         if not rest:
             return []
-        pictures = tuple(one for name in rest for one in self.figure(slug, name, f"Figure: {name.replace('-', ' ').replace('_', ' ')}."))
-        return [Section("More", figures=pictures, downloads=self.downloads(slug, rest))]
+        return [Section("More", downloads=self.downloads(slug, rest))]
 
     def cell(self, table: Table, milestone: int, task: str, method: str) -> Item:
         """A method's result on a task, with the paper's beside it."""

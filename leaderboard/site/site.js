@@ -1,8 +1,10 @@
-// Sorting, filtering, switches, copying and the theme. Every page can be read without it.
+// Sorting, filtering, switches, copying and the theme, and the page's address, which says what is chosen. Every page can be read without it.
 "use strict";
 
 const root = document.documentElement;
 const KEY = "cudc-bench-theme";
+const THEMES = ["light", "dark"];
+const CARRIED = ["milestone", "scale", "beside", "theme"]; // what holds on the next page, too
 
 function remembered() {
   try {
@@ -13,8 +15,35 @@ function remembered() {
 }
 
 // Before anything is drawn.
+const asked = new URLSearchParams(location.search);
 root.classList.add("js");
-if (["light", "dark"].includes(remembered())) root.dataset.theme = remembered();
+const theme = [asked.get("theme"), remembered()].find((one) => THEMES.includes(one));
+if (theme) root.dataset.theme = theme;
+
+// What is chosen stands in the address, so that it can be passed on; null takes it away.
+function say(name, value) {
+  const found = new URLSearchParams(location.search);
+  if (value === null) found.delete(name);
+  else if (Array.isArray(value)) {
+    found.delete(name);
+    for (const one of value) found.append(name, one);
+  } else found.set(name, value);
+  const text = found.toString();
+  try {
+    history.replaceState(null, "", `${location.pathname}${text ? `?${text}` : ""}${location.hash}`);
+  } catch {
+    // Where that is forbidden, pages work as they are.
+  }
+}
+
+// A link to another page takes along what holds there, too.
+function carry(event) {
+  const link = event.target.closest && event.target.closest("a[href]");
+  if (!link || link.protocol !== location.protocol || link.host !== location.host || !link.pathname.endsWith(".html")) return;
+  const now = new URLSearchParams(location.search);
+  const kept = new URLSearchParams(CARRIED.filter((one) => now.has(one)).map((one) => [one, now.get(one)]));
+  link.search = kept.toString();
+}
 
 function setUpTheme() {
   const button = document.getElementById("theme");
@@ -30,6 +59,7 @@ function setUpTheme() {
     } catch {
       // It holds for this page, then.
     }
+    say("theme", root.dataset.theme);
     show();
   });
   system.addEventListener("change", show);
@@ -70,10 +100,18 @@ function sortBy(table, head, descending) {
   head.setAttribute("aria-sort", descending ? "descending" : "ascending");
 }
 
+const headsOf = (table) => [...table.tHead.rows[table.tHead.rows.length - 1].cells];
+
+// In the address a table is the id of its caption, and a column its number.
+function sortedBy(table, index, descending) {
+  const others = new URLSearchParams(location.search).getAll("sort").filter((one) => !one.startsWith(`${table.caption.id}~`));
+  say("sort", [...others, `${table.caption.id}~${index}~${descending ? "down" : "up"}`]);
+}
+
 function setUpSorting(table) {
-  for (const head of table.tHead.rows[table.tHead.rows.length - 1].cells) {
+  for (const head of headsOf(table)) {
     if (!head.dataset.sort) continue;
-    head.setAttribute("aria-sort", "none");
+    if (!head.hasAttribute("aria-sort")) head.setAttribute("aria-sort", "none");
     const button = document.createElement("button");
     button.type = "button";
     button.className = "sort";
@@ -93,16 +131,27 @@ function setUpSorting(table) {
       const now = head.getAttribute("aria-sort");
       // Of numbers one wants the largest first.
       const first = head.dataset.sort === "number" ? "descending" : "ascending";
-      sortBy(table, head, now === "none" ? first === "descending" : now === "ascending");
+      const descending = now === "none" ? first === "descending" : now === "ascending";
+      sortBy(table, head, descending);
+      sortedBy(table, head.cellIndex, descending);
     });
+  }
+}
+
+function restoreSorting() {
+  for (const one of asked.getAll("sort")) {
+    const [id, index, order] = one.split("~");
+    const table = document.getElementById(id)?.closest("table");
+    const head = table && headsOf(table)[Number(index)];
+    if (head && head.dataset.sort) sortBy(table, head, order === "down");
   }
 }
 
 function setUpSwitches(form) {
   const tables = [...document.querySelectorAll("table.filtered")];
+  const field = form.elements.namedItem("filter");
   const filter = () => {
     const found = document.getElementById("found");
-    const field = form.elements.namedItem("filter");
     if (!field) return;
     const wanted = field.value.trim().toLowerCase();
     const names = new Map();
@@ -124,14 +173,38 @@ function setUpSwitches(form) {
     const milestone = data.get("milestone");
     if (milestone) {
       for (const part of document.querySelectorAll("[data-milestone]")) {
-        part.hidden = milestone !== "all" && part.dataset.milestone !== milestone;
+        part.toggleAttribute("hidden", milestone !== "all" && part.dataset.milestone !== milestone);
       }
     }
     root.dataset.scale = data.get("scale") || "raw";
     root.dataset.beside = data.get("beside") ? "on" : "off";
   };
+  // What differs from how the page is written.
+  const tell = () => {
+    for (const one of form.elements) {
+      if (one.type === "radio" && one.checked) say(one.name, one.defaultChecked ? null : one.value);
+      if (one.type === "checkbox") say(one.name, one.checked ? "on" : null);
+    }
+  };
+  const choose = (name, value) => {
+    for (const one of form.elements) {
+      if (one.name !== name) continue;
+      if (one.type === "radio" && one.value === value) one.checked = true;
+      if (one.type === "checkbox") one.checked = value === "on";
+    }
+  };
+  for (const name of ["milestone", "scale", "beside"]) if (asked.has(name)) choose(name, asked.get(name));
+  if (field && asked.has("filter")) field.value = asked.get("filter");
   form.addEventListener("submit", (event) => event.preventDefault());
-  form.addEventListener("input", (event) => (event.target.id === "filter" ? filter() : apply()));
+  form.addEventListener("input", (event) => {
+    if (event.target === field) {
+      filter();
+      say("filter", field.value || null);
+    } else {
+      apply();
+      tell();
+    }
+  });
   form.hidden = false;
   // A browser that comes back to a page may have kept what was chosen.
   apply();
@@ -171,6 +244,8 @@ document.addEventListener("DOMContentLoaded", () => {
   document.querySelectorAll("button.copy").forEach(setUpCopying);
   const form = document.getElementById("switches");
   if (form) setUpSwitches(form);
+  restoreSorting();
   unfold();
   addEventListener("hashchange", unfold);
+  for (const kind of ["click", "auxclick"]) document.addEventListener(kind, carry, true);
 });

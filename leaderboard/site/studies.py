@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from cudc_bench.artefacts.records import Record
 
 from ..methods import canonical
+from ..numbers import figures as study_figures
 from ..numbers import grid as study_grid
 from ..numbers.columns import column
 from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS
+from ..numbers.words import short
 from ..show.text import text
+from .figures import captions, look_of, methods_of, milestone_styles, of_study, references_of, with_references
 from .models import Figure, Heading, HtmlTable, Item, Page, Row, Section
-from .parts import ComparisonPage, Parts, method_path, runs_path, study_path
+from .parts import ComparisonPage, Parts, line_swatch, method_path, runs_path, study_path
 
 
 class Studies(Parts):
@@ -35,11 +39,7 @@ class Studies(Parts):
         """A page for each study."""
         for study in self.site.studies:
             grids = [self._section(one) for one in study.tables]
-            figures = tuple(
-                Figure(f"{study.folder}/{study.name}-{name}.svg", f"Figure of the study: {name.replace('-', ' ')}.")
-                for name in study.figures
-                if f"{study.name}-{name}.svg" in self.site.files.get(study.folder, ())
-            )
+            figures = tuple(one for name, figure in study.figures.items() for one in self._figures(name, figure))
             names = [study.name, *(f"{study.name}-{one}" for one in (*(table.name for table in study.tables), *study.figures))]
             sections = [
                 *grids,
@@ -54,6 +54,20 @@ class Studies(Parts):
             badges = ("Preliminary: fewer than five seeds",) if few else ()
             yield Page(study_path(study), study.title, crumbs, (study.heading, study.caption), badges, tuple(sections))
 
+    def _figures(self, name: str, figure: study_figures.Figure) -> list[Figure]:
+        """A figure of a study, once for each milestone if that is what it is of."""
+        look = look_of(figure)
+        legend = tuple(replace(self._label(method), picture=line_swatch(look[method])) for method in methods_of(figure))
+        if isinstance(figure, study_figures.Bounds):
+            legend = tuple(Item(text, picture=line_swatch(one)) for text, one in milestone_styles(figure.runs.milestones).items())
+        after = with_references(references_of(figure))
+        found = []
+        for milestone, panels in of_study(figure, look):
+            what = f"{name.replace('-', ' ')}{'' if milestone is None else f' after {short(milestone)} gradient steps'}"
+            caption = f"{captions(figure)}{after}" if milestone is None else f"{captions(figure)} After {short(milestone)} steps.{after}"
+            found.append(Figure(panels, f"Figure of the study: {what}; numbers in the tables above.", caption, legend, milestone))
+        return found
+
     def _section(self, table: study_grid.Grid) -> Section:
         grids = []
         for part in table.parts:
@@ -65,7 +79,7 @@ class Studies(Parts):
                 lines.append(Row(head, (*further, *items)))
             columns = (*(Heading(name, number=False) for name in table.head[1:]), *(Heading(one.name) for one in table.columns))
             grids.append(HtmlTable(f"{table.title}: {part.title}", table.head[0], columns, tuple(lines), milestone=milestone))
-        return Section(table.title, grids=tuple(grids), text=(table.caption,))
+        return Section(table.title, grids=tuple(grids), text=(table.caption.replace("Bold in", "Bold and ● in"),))
 
     def _label(self, label: str) -> Item:
         name = canonical(label)

@@ -7,10 +7,9 @@ from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from ...methods import METHOD_ORDER, styles
-from ...numbers.figures import Intervals
-from ...numbers.overall import ALL, LEAD, NAMES, THRESHOLDS, Comparison, Estimate, Overall
-from ...numbers.words import ordered, short, span
+from ...methods import styles
+from ...numbers.figures import Intervals, by_domain, intervals, title_of
+from ...numbers.overall import ALL, THRESHOLDS, Estimate, Overall
 from .drawing import figure_files, framed, legend, luminance
 
 if TYPE_CHECKING:
@@ -33,25 +32,12 @@ def overall_figure_files(overall: Overall) -> dict[str, bytes]:
 
 def draw_intervals(overall: Overall) -> Figure:
     """A panel for each aggregate, as :func:`draw_estimates` draws them."""
-    comparison = overall.headline
-    panels = {label: {standing.method: standing.estimates[name] for standing in comparison.standings} for name, label in NAMES.items()}
-    what = f"Aggregates of scores ({comparison.axis}) and 95 % intervals"
-    return draw_estimates(Intervals(_title(what, overall, 0), comparison.methods, panels, NAMES["optimality_gap"]))
+    return draw_estimates(intervals(overall, overall.headline))
 
 
 def draw_domains(overall: Overall) -> Figure:
     """The mean score of each method at the last milestone, a panel for each domain and one for all together."""
-    last = [one for one in overall.comparisons if one.milestone == overall.comparisons[0].milestone]
-    alike = len({one.axis for one in last}) == 1
-    panels = {
-        one.scope if alike else f"{one.scope}\n({one.axis})": {standing.method: standing.estimates[LEAD] for standing in one.standings}
-        for one in last
-    }
-    methods = ordered({method for panel in panels.values() for method in panel}, METHOD_ORDER)
-    seeds = span([count for one in last for standing in one.standings for count in standing.counts], "seed")
-    what = f"{overall.algorithm}, profile {overall.group}: {short(last[0].milestone)} steps, {seeds}"
-    title = f"Mean score{f' ({last[0].axis})' if alike else ''} and 95 % intervals by domain: {what}"
-    return draw_estimates(Intervals(title, methods, panels, alike=alike))
+    return draw_estimates(by_domain(overall, overall.comparisons[0].milestone))
 
 
 def draw_estimates(shown: Intervals) -> Figure:
@@ -158,9 +144,5 @@ def _name_rows(panel: Axes, methods: Sequence[str]) -> None:
 
 
 def _title(what: str, overall: Overall, width: int) -> str:
-    text = f"{what}: {overall.algorithm}, profile {overall.group}: {_scope(overall.headline)}"
+    text = title_of(what, overall, overall.headline)
     return "\n".join(wrap(text, width)) if width else text
-
-
-def _scope(comparison: Comparison) -> str:
-    return f"{comparison.title}, {comparison.seeds}{', preliminary' if comparison.preliminary else ''}"

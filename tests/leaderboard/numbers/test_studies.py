@@ -667,7 +667,7 @@ def test_hostile_texts_are_shown_plainly(make_record: Callable) -> None:
 
 def test_the_command_prints_and_writes_studies(runs: Callable, save: Callable, cli: Callable, tmp_path: Path) -> None:
     results = save(*(one for m in ("cudc", "cudc-kmax4") for one in runs(m, seeds=range(1, 3), tasks=("walk",))))
-    done = cli("leaderboard", str(results), "--output", str(tmp_path / "out"))
+    done = cli("leaderboard", str(results), "--output", str(tmp_path / "out"), "--figures")
     assert done.code == 0, done.err
     assert "The upper bound of k: walker, td3, profile cpu" in done.out
     written = {path.name for path in (tmp_path / "out" / "cpu.td3.walker").iterdir() if path.name.startswith("k-bound")}

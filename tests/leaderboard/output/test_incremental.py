@@ -104,7 +104,7 @@ def test_a_leaderboard_is_made_again_where_records_changed(
     api.make_leaderboard(results, out)
     first = below(out)
     drawn: list[str] = []
-    monkeypatch.setattr(report, "curve_files", lambda table, real=report.curve_files: drawn.append(table.slug) or real(table))
+    monkeypatch.setattr(report, "table_files", lambda table, real=report.table_files: drawn.append(table.slug) or real(table))
     api.make_leaderboard(results, out)
     assert (drawn, below(out)) == ([], first)
     save(make_record(profile="demo", final=(1.0, 2.0)))
@@ -124,3 +124,27 @@ def test_a_leaderboard_is_made_again_where_records_changed(
         api.make_leaderboard(results, tmp_path / "some", profile="cpu")
         page = (tmp_path / "some" / "cpu.td3.walker" / "runs-walk.cudc.html").read_text()
         assert f"{final:.1f} after" in page
+
+
+def test_figures_are_files_only_where_they_were_asked_for_and_stay_as_long_as_they_are_right(
+    make_record: Callable, save: Callable, tmp_path: Path
+) -> None:
+    results, out = save(make_record(), make_record(profile="demo")), tmp_path / "out"
+
+    def figures() -> set[str]:
+        return {path.parent.name for path in out.rglob("*.pdf")}
+
+    api.make_leaderboard(results, out, domain="walker")
+    assert figures() == set()
+    api.make_leaderboard(results, out, figures=True)
+    asked = below(out)
+    assert figures() == {"cpu.td3", "cpu.td3.walker", "demo.td3", "demo.td3.walker"}
+    assert 'href="curves.pdf"' in asked["cpu.td3.walker/index.html"].decode()
+    # They need not be asked for again, and pages keep offering them.
+    api.make_leaderboard(results, out)
+    assert below(out) == asked
+    # But nobody may take them for what the records say now.
+    save(make_record(profile="demo", final=(1.0, 2.0)))
+    api.make_leaderboard(results, out)
+    assert figures() == {"cpu.td3", "cpu.td3.walker"}
+    assert "curves.pdf" not in (out / "demo.td3.walker" / "index.html").read_text()

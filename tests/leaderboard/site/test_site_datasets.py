@@ -12,9 +12,11 @@ from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.leaderboard.api import make_leaderboard
 from cudc_bench.leaderboard.datasets.behind import datasets_of
+from cudc_bench.leaderboard.datasets.diagnostics import diagnostics_path
 from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.leaderboard.output import measured as site_datasets
 from cudc_bench.leaderboard.output.measured import find_local
+from cudc_bench.leaderboard.site.figures import collection
 
 
 def of(*records):
@@ -80,30 +82,29 @@ def test_a_dataset_that_is_here_is_measured(local, tmp_path):
         expected = cudc_bench.load_transitions(f"walker/{task}/cudc-smoke-v0").rewards.mean()
         assert one.quality.rewards[task].mean == pytest.approx(expected, rel=1e-5)
     assert one.quality.coverage.coverage_cells == cudc_bench.coverage("walker/cudc-smoke-v0").coverage_cells
-    assert set(one.figures) == {"density", "k", "losses", "representation"}
+    assert set(collection(one.collection)) == {"k", "losses", "representation"}
 
 
 def test_what_was_measured_is_kept_until_something_changes(local, tmp_path, monkeypatch):
     (dataset,) = of(*local())
     output = tmp_path / "report"
     first, _ = find_local([dataset], output)
-    site_datasets.write_files(output / "datasets", {f"{dataset.slug}.{name}.svg": svg for name, svg in first[dataset.slug].figures.items()})
     kept = (output / "datasets" / "measures.json").read_bytes()
     calls = []
     measure = site_datasets.measure
     monkeypatch.setattr(site_datasets, "measure", lambda *a: calls.append("measured") or measure(*a))
-    monkeypatch.setattr(site_datasets, "_draw", lambda *a: calls.append("drawn") or first[dataset.slug].figures)
     again, _ = find_local([dataset], output)
     assert calls == []
     assert again == first
     assert (output / "datasets" / "measures.json").read_bytes() == kept
-    # A figure that somebody changed is drawn again, a damaged file of measures is made again.
-    (output / "datasets" / f"{dataset.slug}.k.svg").write_text("<svg/>")
-    assert find_local([dataset], output)[0][dataset.slug].figures == first[dataset.slug].figures
-    assert calls == ["drawn"]
+    # A damaged file of measures is made again; changed diagnostics are drawn and not measured.
     (output / "datasets" / "measures.json").write_text('{"measures": {"x": 1}}')
-    assert find_local([dataset], output)[0][dataset.slug].figures == first[dataset.slug].figures
-    assert calls == ["drawn", "measured", "drawn"]
+    assert find_local([dataset], output)[0] == first
+    assert calls == ["measured"]
+    with diagnostics_path(again[dataset.slug].id).open("a") as file:
+        file.write("\n")
+    assert find_local([dataset], output)[0][dataset.slug].digest != first[dataset.slug].digest
+    assert calls == ["measured"]
 
 
 @pytest.mark.parametrize("changed", [{"dataset_fingerprint": "b" * 64}, {"dataset_id": "walker/walk/gone-v0"}, {"dataset_id": "../../x"}])
@@ -127,9 +128,9 @@ def test_its_page_shows_what_was_measured(local, save, tmp_path):
     report = make_leaderboard(save(*local()), output)
     (dataset,) = datasets_of(report.tables)
     page = (output / "datasets" / f"{dataset.slug}.html").read_text()
-    for name in ("density", "k", "losses"):
-        assert f'src="{dataset.slug}.{name}.svg"' in page
-        assert (output / "datasets" / f"{dataset.slug}.{name}.svg") in report.files
+    for name in ("Density of the rewards", "k over environment steps", "Losses of the collector", "What shows whether"):
+        assert f'aria-label="{name}' in page
+    assert page.count('<svg class="plot"') > 4 + 1
     assert "was not measured" not in page
     manifest = read_manifest("walker/cudc-smoke-v0")
     assert manifest.created in page
