@@ -48,6 +48,7 @@ class APS(DDPG):
     config_class: ClassVar[type] = APSConfig
     family = "competence and entropy"
     citation = "Liu and Abbeel 2021"
+    paper = "https://arxiv.org/abs/2108.13956"
 
     @property
     def skill_size(self) -> int:

@@ -42,6 +42,7 @@ class APT(DDPG):
     config_class: ClassVar[type] = APTConfig
     family = "entropy"
     citation = "Liu and Abbeel 2021"
+    paper = "https://arxiv.org/abs/2103.04551"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config

@@ -52,6 +52,7 @@ class BE(APT):
     config_class: ClassVar[type] = BEConfig
     family = "entropy"
     citation = "Suttle et al. 2025"
+    paper = "https://arxiv.org/abs/2502.04141"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         trained = super().build(random)

@@ -54,6 +54,7 @@ class CIC(DDPG):
     config_class: ClassVar[type] = CICConfig
     family = "competence and entropy"
     citation = "Laskin et al. 2022"
+    paper = "https://arxiv.org/abs/2202.00161"
 
     @property
     def skill_size(self) -> int:

@@ -185,6 +185,7 @@ class CUDC(MovingHorizon):
     }
     family = "curiosity and entropy"
     citation = "Sun, Qian, Miao 2024"
+    paper = "https://arxiv.org/abs/2312.12191"
 
     @property
     def min_horizon(self) -> int | None:

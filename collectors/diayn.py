@@ -56,6 +56,7 @@ class DIAYN(OneHotSkills):
     config_class: ClassVar[type] = DIAYNConfig
     family = "competence"
     citation = "Eysenbach et al. 2018"
+    paper = "https://arxiv.org/abs/1802.06070"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         width = self.config.width

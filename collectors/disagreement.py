@@ -36,6 +36,7 @@ class Disagreement(DDPG):
     config_class: ClassVar[type] = DisagreementConfig
     family = "uncertainty"
     citation = "Pathak et al. 2019"
+    paper = "https://arxiv.org/abs/1906.04161"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         s, a, width = self.sizes.observation, self.sizes.action, self.config.width

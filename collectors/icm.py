@@ -36,6 +36,7 @@ class ICM(DDPG):
     config_class: ClassVar[type] = ICMConfig
     family = "curiosity"
     citation = "Pathak et al. 2017"
+    paper = "https://arxiv.org/abs/1705.05363"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         s, a, width = self.sizes.observation, self.sizes.action, self.config.width

@@ -53,6 +53,7 @@ class Proto(DDPG):
     config_class: ClassVar[type] = ProtoConfig
     family = "entropy"
     citation = "Yarats et al. 2021"
+    paper = "https://arxiv.org/abs/2102.11271"
 
     queue: Tensor
     queue_start: Tensor

@@ -43,6 +43,7 @@ class RND(DDPG):
     config_class: ClassVar[type] = RNDConfig
     family = "novelty"
     citation = "Burda et al. 2018"
+    paper = "https://arxiv.org/abs/1810.12894"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         sizes = (self.sizes.observation, self.config.width, self.config.width, self.config.feature_dim)

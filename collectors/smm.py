@@ -54,6 +54,7 @@ class SMM(OneHotSkills):
     config_class: ClassVar[type] = SMMConfig
     family = "density"
     citation = "Lee et al. 2019"
+    paper = "https://arxiv.org/abs/1906.05274"
 
     def build(self, random: MemberRandom) -> list[Trainable]:
         config = self.config

@@ -289,7 +289,9 @@ class Record(Strict):
     @property
     def conclusion(self) -> Evaluation:
         """All episodes of the larger evaluations together."""
-        return Evaluation(step=self.final.step, returns=[value for evaluation in self.finals for value in evaluation.returns])
+        # Its parts were checked when they were read.
+        returns = [value for evaluation in self.finals for value in evaluation.returns]
+        return Evaluation.model_construct(step=self.final.step, returns=returns)
 
     def evaluation(self, milestone: int) -> Evaluation | None:
         """The episodes behind the score at a milestone, if there are any: after the last step those of the larger evaluations."""

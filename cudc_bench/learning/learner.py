@@ -26,6 +26,7 @@ class MemberStack(ABC):
         config_class: the frozen dataclass of hyperparameters; its defaults are those of the paper or code that the class names.
         values: hyperparameters that make a named variant out of the method that it is a subclass of.
         citation: the paper, for lists and tables.
+        paper: where it can be read, an address that begins with https://; empty if it is not known.
         stacks_exactly: whether, on a CPU, in one thread and with updates one by one, a member learns and acts the same to the last bit
             whoever is beside it. Members of others are alone there; the contract battery shows whether it is so.
 
@@ -38,6 +39,7 @@ class MemberStack(ABC):
     config_class: ClassVar[type]
     values: ClassVar[Mapping[str, Any]] = {}
     citation: ClassVar[str]
+    paper: ClassVar[str] = ""
     stacks_exactly: ClassVar[bool] = False
 
     def __init__(self, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:

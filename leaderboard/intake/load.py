@@ -162,7 +162,8 @@ def impossible(record: Record) -> str | None:
     """Why a record that fits the schema cannot be a result, since records come from others too; None if it can."""
     domain = DOMAINS.get(record.dataset.domain)
     limit = domain.max_return if domain and record.dataset.task in domain.tasks else _LARGEST
-    largest = max(abs(value) for evaluation in (*record.curve, *record.finals) for value in evaluation.returns)
+    # Looking at each number by itself takes a third of the time that reading takes.
+    largest = max(max(max(one.returns), -min(one.returns)) for one in (*record.curve, *record.finals))
     steps = (*record.milestones, record.final.step)
     if largest > limit * (1 + 1e-6):
         return f"a return of {largest:g} is impossible, the limit is {limit:g}."

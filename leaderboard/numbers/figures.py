@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import fmean, stdev
+from statistics import fmean
+
+import numpy as np
 
 from cudc_bench.artefacts.records import Record
 
@@ -12,7 +15,7 @@ from ..methods import METHOD_ORDER
 from .grid import Entry
 from .overall import LEAD, NAMES, Comparison, Estimate, Overall
 from .scale import References
-from .table import Runs, seed_scores
+from .table import Runs
 from .words import ordered, short, span
 
 
@@ -99,9 +102,16 @@ def curve(records: Sequence[Record]) -> tuple[list[int], list[float], list[float
     Only steps at which every record was evaluated count, so that a mean is always over the same seeds.
     """
     steps = sorted(set.intersection(*({evaluation.step for evaluation in record.curve} for record in records)))
-    scores = [seed_scores(records, step) for step in steps]
-    several = len({record.dataset.seed for record in records}) > 1
-    return steps, [fmean(values) for values in scores], [stdev(values) for values in scores] if several else None
+    runs: dict[int, list[list[float]]] = defaultdict(list)
+    for record in records:
+        means = {evaluation.step: evaluation.mean for evaluation in reversed(record.curve)}  # the first of a step counts
+        if record.final.step in means:
+            means[record.final.step] = record.conclusion.mean
+        runs[record.dataset.seed].append([means[step] for step in steps])
+    seeds = [of[0] if len(of) == 1 else list(map(fmean, zip(*of, strict=True))) for of in runs.values()]
+    # Of ten thousand records exact sums of squares would take most of the time.
+    stds = np.std(np.array(seeds), 0, ddof=1).tolist() if len(seeds) > 1 else None
+    return steps, list(map(fmean, zip(*seeds, strict=True))), stds
 
 
 def intervals(overall: Overall, comparison: Comparison) -> Intervals:

@@ -54,10 +54,9 @@ _MOST_LINES = 200  # of problems on a page; a folder of other files gives one fo
 class Boards(Studies):
     """Builds them."""
 
-    def overview(self, boards: Sequence[ComparisonPage]) -> Page:
-        """The first page."""
+    def overview(self, boards: Sequence[ComparisonPage], sections: Sequence[Section]) -> Page:
+        """The first page, around what the first comparison shows."""
         first = boards[0]
-        self.use_styles(first)
         tables = self.site.tables
         records = [record for table in self.site.every_table for record in table.records]
         facts = [
@@ -69,7 +68,6 @@ class Boards(Studies):
             f" behind it. {', '.join(facts)}.",
             f"Shown here: {first.algorithm}, profile {brief(first.group)}. {self.summary(first)[0]}",
         )
-        sections = self.board(first)
         choose = Section(
             "Comparisons",
             grids=(self._boards_grid(boards),),

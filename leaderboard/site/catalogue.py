@@ -56,9 +56,8 @@ class Catalogue(Parts):
         sets: Counter[str] = Counter(dataset.method for dataset in self.site.datasets)
         for method in self.site.methods:
             known = describe(self._registered(method))
-            lines.append(Row(self.name(method), (
-                Item(known.family or MISSING), Item(known.citation or MISSING), count(sets[method]), count(counts[method]),
-            )))  # fmt: skip
+            paper = Item(known.citation or MISSING, link=known.paper or None)
+            lines.append(Row(self.name(method), (Item(known.family or MISSING), paper, count(sets[method]), count(counts[method]))))
         columns = (Heading("explores by", number=False), Heading("from", number=False), Heading("datasets"), Heading("runs"))
         grid = HtmlTable("Methods with results", "method", columns, tuple(lines), filters="methods")
         return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Section("All methods", grids=(grid,)),))
@@ -72,8 +71,9 @@ class Catalogue(Parts):
         known = describe(self._registered(method))
         records = [record for table in self.site.every_table for record in table.records if column(record) == method]
         origins = ", ".join(sorted({origin(record) for record in records}))
-        facts = [(name, Item(text)) for name, text in (
-            ("explores by", known.family), ("from", known.citation), ("registered by", known.package), ("data", origins),
+        facts = [(name, Item(text, link=link)) for name, text, link in (
+            ("explores by", known.family, None), ("from", known.citation, known.paper or None), ("registered by", known.package, None),
+            ("data", origins, None),
         ) if text]  # fmt: skip
         text = known.text or ("Nothing more is known of it here: no collector of this name is installed, or its source cannot be read.",)
         sections = [Section("What it is", prose=text, facts=tuple(facts))]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 from dataclasses import dataclass
 from functools import cache
 
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError
 from cudc_bench.settings.sources import ancestry
+
+_ADDRESS = re.compile(r"https://[a-zA-Z0-9./_~%?=&+:-]{1,300}")
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,7 @@ class Method:
     Attributes:
         name: as on the command line.
         family, citation: how it explores and the paper; empty where the class does not say.
+        paper: where that can be read; empty where the class that names the citation does not say, or says no such address.
         text: paragraphs of its docstring, without the sections on arguments and attributes.
         package: the distribution that registers it, with its version; empty if none does here.
     """
@@ -26,6 +30,7 @@ class Method:
     name: str
     family: str = ""
     citation: str = ""
+    paper: str = ""
     text: tuple[str, ...] = ()
     package: str = ""
 
@@ -47,14 +52,30 @@ def describe(name: str) -> Method:
     values: dict[str, str] = {}
     for kind in (one.node for one in ancestry(module, attribute)):
         texts += filter(None, [ast.get_docstring(kind)])
-        for node in kind.body:
-            match node:
-                case ast.Assign(targets=[ast.Name(id=one)], value=ast.Constant(value=str(text))):
-                    values.setdefault(one, text)
-                case ast.AnnAssign(target=ast.Name(id=one), value=ast.Constant(value=str(text))):
-                    values.setdefault(one, text)
+        own = _texts(kind)
+        if "citation" in own and "citation" in values:
+            own.pop("paper", None)  # of another paper
+        values = own | values
+        if "citation" in values:
+            values.setdefault("paper", "")
     paragraphs = _paragraphs(texts[0]) if texts else ()
-    return Method(name, values.get("family", ""), values.get("citation", ""), paragraphs, package or module)
+    paper = values.get("paper", "")
+    return Method(
+        name, values.get("family", ""), values.get("citation", ""), paper if _ADDRESS.fullmatch(paper) else "", paragraphs,
+        package or module,
+    )  # fmt: skip
+
+
+def _texts(kind: ast.ClassDef) -> dict[str, str]:
+    """The class attributes that are texts."""
+    found: dict[str, str] = {}
+    for node in kind.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=one)], value=ast.Constant(value=str(text))):
+                found.setdefault(one, text)
+            case ast.AnnAssign(target=ast.Name(id=one), value=ast.Constant(value=str(text))):
+                found.setdefault(one, text)
+    return found
 
 
 def _paragraphs(docstring: str) -> tuple[str, ...]:

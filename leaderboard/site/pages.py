@@ -15,22 +15,29 @@ from __future__ import annotations
 import posixpath
 import re
 from collections import Counter
-from collections.abc import Iterable
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache, partial
+from itertools import chain
 from pathlib import Path
+from typing import Any, TypeVar
 
+from cudc_bench.execution.parallel import computed
 from cudc_bench.text import html_templates
 
 from ..methods import styles
+from ..numbers.table import Table
 from ..numbers.words import short
 from .boards import Boards
 from .catalogue import Catalogue
 from .models import Page
 from .palette import palette_css
-from .parts import Site, brief
+from .parts import ComparisonPage, Site, brief
 from .runs import Runs
 
 ASSETS = ("site.css", "site.js")
+_FEW = 12  # parts that one process makes sooner than two begin
+_PORTION = 40  # pages that a process makes together
+T = TypeVar("T")
 
 
 def site_files(site: Site) -> dict[str, str | bytes]:
@@ -39,49 +46,78 @@ def site_files(site: Site) -> dict[str, str | bytes]:
     template = html_templates(here).get_template("page.html.j2")
     files: dict[str, str | bytes] = {f"site/{name}": (here / name).read_bytes() for name in ASSETS}
     files["site/site.css"] = (here / "site.css").read_text("utf-8") + palette_css()
-    for page in _Pages(site).every():
-        if page.path in files:
-            raise AssertionError(f"two pages want to be {page.path}")
-        files[page.path] = template.render(page=page, to=_Links(page.path), style="site/site.css", script="site/site.js",
-                                            identify=_Ids(), short=short)  # fmt: skip
+
+    def rendered(pages: Callable[[], Iterable[Page]]) -> list[tuple[str, str]]:
+        return [
+            (page.path, template.render(page=page, to=_Links(page.path), style="site/site.css", script="site/site.js",
+                                        identify=_Ids(), short=short))
+            for page in pages()
+        ]  # fmt: skip
+
+    parts = _Pages(site).parts()
+    for path, text in chain.from_iterable(computed([partial(rendered, part) for part in parts], "making pages", "parts", _FEW)):
+        if path in files:
+            raise AssertionError(f"two pages want to be {path}")
+        files[path] = text
     return files
 
 
 class _Pages(Boards, Runs, Catalogue):
     """Builds the pages of a site."""
 
-    def every(self) -> Iterable[Page]:
-        """All pages."""
-        boards = self.site.boards
-        yield self.overview(boards)
-        for board in boards:
-            crumbs = (("Overview", "index.html"),)
-            self.use_styles(board)
-            title = f"{board.algorithm}, profile {brief(board.group)}"
-            yield Page(board.path, title, crumbs, self.summary(board), self.badges(board), self.board(board))
-            for table in board.tables:
-                self._styles = styles(table.methods)
-                yield self.domain(board, table)
-                for task in table.tasks:
-                    yield self.task(board, table, task)
-                yield from self.runs_of(board, table)
-            for table in board.hidden:
-                yield from self.runs_of(board, table)
-        self._styles = {}  # Colours beyond the paper's methods are those of one comparison.
-        yield from self.study_pages()
-        yield self.methods_page()
-        yield from map(self.method, self.site.methods)
-        yield self.datasets_page()
-        yield from map(self.dataset, self.site.datasets)
+    def parts(self) -> list[Callable[[], Iterable[Page]]]:
+        """Functions that return all pages, those that take the longest first; none needs what another has done."""
+        boards, site = self.site.boards, self.site
+        tables = [(board, table) for board in boards for table in board.tables]
+        found: list[Callable[[], Iterable[Page]]] = [partial(self._of_table, board, table) for board, table in tables]
+        found += [partial(self._of_board, board) for board in boards]
+        found += [partial(self._plain, self.study_pages, some) for some in _some(site.studies)]
+        found += [partial(self._plain, partial(map, self.dataset), some) for some in _some(site.datasets)]
+        found += [partial(self._plain, partial(map, self.method), some) for some in _some(site.methods)]
+        return found
+
+    def _of_table(self, board: ComparisonPage, table: Table) -> Iterable[Page]:
+        self._styles = styles(table.methods)
+        yield self.domain(board, table)
+        for task in table.tasks:
+            yield self.task(board, table, task)
+        yield from self.runs_of(board, table)
+
+    def _of_board(self, board: ComparisonPage) -> Iterable[Page]:
+        """A comparison's page; the first is a part of the overview, too, which comes with lists of everything."""
+        self.use_styles(board)
+        shown = self.board(board)
+        title = f"{board.algorithm}, profile {brief(board.group)}"
+        yield Page(board.path, title, (("Overview", "index.html"),), self.summary(board), self.badges(board), shown)
+        if board is self.site.boards[0]:
+            yield self.overview(self.site.boards, shown)
+        for table in board.hidden:
+            yield from self.runs_of(board, table)
+        if board is self.site.boards[0]:
+            self._styles = {}
+            yield self.methods_page()
+            yield self.datasets_page()
+
+    def _plain(self, pages: Callable[[Sequence[Any]], Iterable[Page]], of: Sequence[Any]) -> Iterable[Page]:
+        """Pages without a comparison's colours: those beyond the paper's methods are its own."""
+        self._styles = {}
+        return pages(of)
+
+
+def _some(many: Sequence[T]) -> list[Sequence[T]]:
+    """Things in portions, which processes share."""
+    return [many[first : first + _PORTION] for first in range(0, len(many), _PORTION)]
 
 
 class _Links:
-    """Makes paths from the site's root relative to a page."""
+    """Makes paths from the site's root relative to a page; addresses elsewhere stay, which nothing but readers follows."""
 
     def __init__(self, page: str) -> None:
         self._folder = posixpath.dirname(page) or "."
 
     def __call__(self, path: str) -> str:
+        if path.startswith("https://"):
+            return path
         target, mark, fragment = path.partition("#")
         return f"{_relative(target, self._folder) if target else ''}{mark}{fragment}"
 

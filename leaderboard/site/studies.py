@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from cudc_bench.artefacts.records import Record
 
@@ -25,8 +26,13 @@ class Studies(Parts):
 
     def studies_of(self, board: ComparisonPage) -> list[Study]:
         """The studies that a comparison's records take part in."""
-        of_group = [study for study in self.site.studies if study.group == board.group]
-        return [study for study in of_group if board.algorithm in (study.algorithm, *(one.algorithm for one in study.records))]
+        of_group = [(study, names) for study, names in self._algorithms_of if study.group == board.group]
+        return [study for study, names in of_group if board.algorithm in names]
+
+    @cached_property
+    def _algorithms_of(self) -> list[tuple[Study, set[str | None]]]:
+        """Each study with the algorithms that take part in it."""
+        return [(study, {study.algorithm, *(one.algorithm for one in study.records)}) for study in self.site.studies]
 
     def studies_list(self, studies: Sequence[Study]) -> tuple[Section, ...]:
         """Ways to them."""
@@ -35,9 +41,9 @@ class Studies(Parts):
         lines = tuple(Item(f"{study.title}{f': {study.domain}' if study.domain else ''}", link=study_path(study)) for study in studies)
         return (Section("Studies", lines=lines, lead="Further comparisons of the same records, each a page of its own."),)
 
-    def study_pages(self) -> Iterable[Page]:
-        """A page for each study."""
-        for study in self.site.studies:
+    def study_pages(self, studies: Sequence[Study]) -> Iterable[Page]:
+        """A page for each of some studies."""
+        for study in studies:
             grids = [self._section(one) for one in study.tables]
             figures = tuple(one for name, figure in study.figures.items() for one in self._figures(name, figure))
             names = [study.name, *(f"{study.name}-{one}" for one in (*(table.name for table in study.tables), *study.figures))]
@@ -48,7 +54,7 @@ class Studies(Parts):
                 Section("Files", downloads=self.downloads(study.folder, names)),
                 Section("Make it again", code=tuple(("", command) for command in study.commands), folded=True),
             ]
-            boards = [board for board in self.site.boards if study in self.studies_of(board)]
+            boards = [board for board in self.site.boards if any(study is one for one in self.studies_of(board))]
             crumbs = self.crumbs(boards[0]) if len(boards) == 1 else (("Overview", "index.html"),)
             few = any(0 < entry.n < ENOUGH_SEEDS for one in study.tables for *_, entry in one.entries() if entry)
             badges = ("Preliminary: fewer than five seeds",) if few else ()
