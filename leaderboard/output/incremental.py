@@ -128,7 +128,8 @@ def _bring(output: Path, parts: Sequence[Target], ledger: Mapping[str, Any]) -> 
 def _source() -> str:
     """A hash of all that decides what files look like but is no input: this package, and the libraries that it draws with."""
     folders = sorted({Path(cudc_bench.__file__).parent, Path(__file__).parents[1]})
-    files = sorted({path for folder in folders for path in folder.rglob("*") if path.suffix in {".py", ".j2", ".csv", ".css", ".js"}})
+    kinds = {".py", ".j2", ".csv", ".css", ".js", ".webp"}
+    files = sorted({path for folder in folders for path in folder.rglob("*") if path.suffix in kinds})
     versions = []
     for library in _LIBRARIES:
         with suppress(PackageNotFoundError):

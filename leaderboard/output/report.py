@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,6 +31,7 @@ from ..site.pages import site_files
 from ..site.parts import Run, Site, run_of
 from .incremental import Contents, Target, build, digest, holds
 from .measured import find_local
+from .media import find_clips, links_to_records
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,12 @@ def make_report(
 
         def site_part(there: Mapping[str, Sequence[str]]) -> Target:
             places = _places(loaded, paths)
-            site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden)
+            links, clips = links_to_records(loaded, paths, folder), find_clips(loaded, tables)
+            site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden, links, clips)
             known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
-                     (f"{slug} {one.digest}" for slug, one in local.items())]  # fmt: skip
+                     (f"{slug} {one.digest}" for slug, one in local.items()), map(repr, links.items()),
+                     (f"{one.has_policy} {one.shown and one.shown.dataset.id} {one.suffix} {hashlib.sha256(one.content).hexdigest()}"
+                      for one in clips.values())]  # fmt: skip
             return Target("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")
 
         # A site over all records is not replaced by one over some of them.

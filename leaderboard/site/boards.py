@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import metadata
+from importlib.metadata import version as version_of
 from math import ceil
 
 from markupsafe import Markup
@@ -12,6 +15,7 @@ from markupsafe import Markup
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
 
+from ..numbers.columns import column
 from ..numbers.figures import by_domain, intervals, title_of
 from ..numbers.grid import Entry
 from ..numbers.missing import Missing
@@ -25,15 +29,19 @@ from ..numbers.verdict import task_verdict, verdict
 from ..numbers.words import short, span
 from ..show.figures.drawing import seeds_text
 from .figures import curves, estimates, profiles, ranks, returns, with_references
-from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section, bar, dots
+from .methods import describe
+from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Picture, Row, Section, bar, dots
 from .parts import (
+    BEST_TEST,
     ComparisonPage,
     Paper,
     brief,
     by_column,
+    clip_path,
     commit,
     count,
     domain_path,
+    domain_pictures,
     domain_text,
     machine,
     pm,
@@ -46,7 +54,6 @@ from .parts import (
 from .studies import Studies
 
 _FURTHER = tuple(name for name in NAMES if name != LEAD)
-BEST_TEST = "two-sided Welch test over seeds, Holm's correction within the task, p ≥ 0.05"
 _MARKS = " Thick: Student's t over datasets; thin and grey above it: the stratified bootstrap, which is too narrow; hollow: a single seed."
 _MOST_LINES = 200  # of problems on a page; a folder of other files gives one for each
 
@@ -73,8 +80,14 @@ class Boards(Studies):
             grids=(self._boards_grid(boards),),
             text=("Results of different profiles, settings or offline algorithms never share a table: each has a page of its own.",),
         )
-        return Page("index.html", "Leaderboard of data collectors", (), lead, self.badges(first),
-                    (*sections[:1], choose, *sections[1:], *self._problems(), self._reading(boards), self._behind(records)))  # fmt: skip
+        return Page(
+            "index.html",
+            "Leaderboard of data collectors",
+            (),
+            lead,
+            self.badges(first),
+            (*sections[:1], choose, *sections[1:], *self._problems(), self._reading(boards), self._behind(records), _about()),
+        )
 
     def _boards_grid(self, boards: Sequence[ComparisonPage]) -> HtmlTable:
         lines = [
@@ -338,6 +351,8 @@ class Boards(Studies):
         sections += self.further(table.slug, {"curves", "bars", "table", "paper", *(f"task-{task}" for task in table.tasks)})
         sections.append(Section("Tasks", lines=tuple(Item(task, link=task_path(table, task)) for task in table.tasks)))
         lead = (f"{domain_text(table.domain)}. {table.algorithm}, profile {brief(table.group)}, {table.seeds}.",)
+        if pictures := domain_pictures(table.domain):
+            sections.insert(1, Section(f"What {table.domain} is", pictures=pictures))
         return Page(domain_path(table), table.domain, self.crumbs(board), lead, self.badges(single), tuple(sections))
 
     def task(self, board: ComparisonPage, table: Table, task: str) -> Page:
@@ -351,6 +366,7 @@ class Boards(Studies):
                 (milestone, task_verdict(_results(table, milestone, task))) for milestone in reversed(table.milestones)
             )),
         ]  # fmt: skip
+        sections += self._best_policy(table, task)
         if task in runs.tasks:
             of = f"{table.algorithm} on {table.domain} {task}, profile {brief(table.group)}"
             caption = f"{of}: {seeds_text(runs.seeds)}, upright dots: milestones"
@@ -367,6 +383,36 @@ class Boards(Studies):
             sections.append(Section(f"Other tasks of {table.domain}", lines=others))
         crumbs = (*self.crumbs(board), (table.domain, domain_path(table)))
         return Page(task_path(table, task), f"{table.domain} {task}", crumbs, lead, self.badges(board), tuple(sections))
+
+    def _best_policy(self, table: Table, task: str) -> list[Section]:
+        """The best run of a task, with a video where somebody made one, and otherwise how to make it."""
+        clip = self.site.clips.get((table.slug, task))
+        if clip is None:
+            return []
+        best, link = clip.best, runs_path(table, task, column(clip.best))
+        what = f"{column(best)}, collector seed {best.dataset.seed}, training seed {best.seed}"
+        facts = [("run with the largest final score", Item(what, link=link)),
+                 ("its final score", Item(f"{best.conclusion.mean:.1f}, the mean of {span([len(best.conclusion.returns)], 'episode')}")),
+        ]  # fmt: skip
+        pictures = domain_pictures(table.domain)
+        code: tuple[tuple[str, str], ...] = ()
+        lead = ""
+        if clip.shown is not None:
+            one = clip.shown
+            whose = "The video that lies beside its record"
+            if one is not best:
+                whose = (
+                    f"Of that run there is no video; this one lies beside the record of {column(one)}, collector seed {one.dataset.seed},"
+                    f" whose final score is {one.conclusion.mean:.1f}"
+                )
+            alt = f"Video of a policy of {column(one)} on {table.domain} {task}."
+            pictures = (Picture(clip_path(table, task, clip), alt, f"{whose}."),)
+        elif clip.has_policy and (place := self.site.place(best)):
+            lead = "There is no video of it yet. In the results' folder this makes one beside its record, which the next leaderboard shows."
+            code = (("", shlex.join(["cudc-bench", "render", place])),)
+        else:
+            lead = "There is no video of it, and its policy is not beside its record; the run's page has the command that trains it again."
+        return [Section("The best policy", lead=lead, facts=tuple(facts), pictures=pictures, code=code)]
 
     def _task_grid(self, table: Table, milestone: int, task: str) -> HtmlTable:
         largest, scale = largest_return(table.domain, task), self.scale(table, task)
@@ -420,6 +466,17 @@ class Boards(Studies):
             Item() if cell.std is None else Item(f"{cell.std:.1f}", cell.std, scaled=f"{scale.width(cell.std):.3f}" if scale else MISSING),
             Item() if within is None else Item(f"{within.low:.0f} to {within.high:.0f}", scaled=scaled(within.low, within.high)),
         ]
+
+
+def _about() -> Section:
+    """What this is, and how to get it."""
+    known = describe("cudc")
+    addresses = dict(one.split(", ", 1) for one in metadata("cudc-bench").get_all("Project-URL") or () if ", https://" in one)
+    facts = [("paper", Item(f"{known.citation}: CUDC (AAAI 2024)", link=known.paper or None)),
+             ("code", Item(f"cudc-bench {version_of('cudc-bench')}")), ("licence", Item("MIT"))]  # fmt: skip
+    facts += [(name.lower(), Item(address, link=address)) for name, address in addresses.items()]
+    code = (("Install it, from a clone", "pip install ."), ("Make these pages again from the records", "cudc-bench leaderboard results"))
+    return Section("Get it", facts=tuple(facts), code=code)
 
 
 def _results(table: Table, milestone: int, task: str) -> dict[str, Entry]:

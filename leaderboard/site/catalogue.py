@@ -8,6 +8,8 @@ from dataclasses import replace
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.data.card import facts_of
+from cudc_bench.envs.domains import DOMAINS
+from cudc_bench.envs.layouts import observation_layout
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
@@ -22,12 +24,14 @@ from .figures import collection, density
 from .methods import describe
 from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import (
+    BEST_TEST,
     ComparisonPage,
     Parts,
     brief,
     commit,
     count,
     dataset_path,
+    domain_pictures,
     domain_text,
     machine_text,
     method_path,
@@ -106,7 +110,8 @@ class Catalogue(Parts):
                 )))  # fmt: skip
         caption = f"Mean ± sample standard deviation (seeds) after {short(milestone)} gradient steps"
         columns = (Heading("return"), Heading("95 % interval", sorts=False), *(map(Heading, (FLOOR, CEILING)) if referenced else ()))
-        return HtmlTable(caption, "task", columns, tuple(lines), milestone=milestone)
+        notes = (f"Bold and ●: among all methods the task's largest mean, or not significantly worse ({BEST_TEST}).",)
+        return HtmlTable(caption, "task", columns, tuple(lines), milestone=milestone, notes=notes)
 
     @staticmethod
     def _task_link(board: ComparisonPage, table: Table, task: str) -> str | None:
@@ -163,6 +168,7 @@ class Catalogue(Parts):
             sections.append(Section("Measures", lead=f"{why}{' The commands above make it again.' if again else ''}"))
         else:
             sections += _measured(dataset, local)
+        sections += _contents(dataset)
         sections.append(self._trained(dataset))
         sections.append(
             Section("Commands of its runs", folded=True, code=tuple(("", one) for one in sorted({r.command for r in dataset.records})))
@@ -194,6 +200,20 @@ class Catalogue(Parts):
         columns = (Heading("algorithm", number=False), Heading("profile", number=False), Heading("training seed"), Heading("final score"),
                    Heading("seconds"), Heading("code", number=False), Heading("machine", number=False))  # fmt: skip
         return Section("Runs on it", grids=(HtmlTable("Trainings on this dataset", "task", columns, tuple(lines)),))
+
+
+def _contents(dataset: Dataset) -> list[Section]:
+    """What the numbers of an observation are, where that is known without loading a simulator."""
+    if dataset.domain not in DOMAINS or dataset.source is not None:
+        return []
+    facts, start = [], 0
+    for block in observation_layout(dataset.domain):
+        stop = start + len(block.elements)
+        places = f"[{start}]" if stop == start + 1 else f"[{start}:{stop}]"
+        facts.append((f"{block.name} {places}", Item(", ".join(block.elements))))
+        start = stop
+    lead = f"Each observation has {start} numbers and each action {DOMAINS[dataset.domain].action_size}, in [-1, 1]."
+    return [Section("What is in an observation", lead=lead, facts=tuple(facts), pictures=domain_pictures(dataset.domain))]
 
 
 def _standings(board: ComparisonPage, method: str) -> list[tuple[str, Item]]:

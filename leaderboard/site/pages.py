@@ -7,7 +7,7 @@ JavaScript; their policy (``Content-Security-Policy``) allows neither scripts no
     <profile>.<algorithm>/index.html        a comparison of its own for each group and algorithm; they are never mixed
     <profile>.<algorithm>.<domain>/         index.html; task-<task>.html; runs-<task>.<method>.html, the runs behind each cell
     methods/, datasets/                     index.html and a page for each
-    site/                                   style and script
+    site/                                   style, script, and pictures of domains
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .boards import Boards
 from .catalogue import Catalogue
 from .models import Page
 from .palette import palette_css
-from .parts import ComparisonPage, Site, brief
+from .parts import ComparisonPage, Site, brief, clip_path, picture_path, pictures_of
 from .runs import Runs
 
 ASSETS = ("site.css", "site.js")
@@ -54,6 +54,12 @@ def site_files(site: Site) -> dict[str, str | bytes]:
             for page in pages()
         ]  # fmt: skip
 
+    files |= {picture_path(name): (here / "pictures" / f"{name}.webp").read_bytes() for name in sorted(pictures_of(site))}
+    for table in site.tables:
+        for task in table.tasks:
+            clip = site.clips.get((table.slug, task))
+            if clip is not None and clip.shown is not None:
+                files[clip_path(table, task, clip)] = clip.content
     parts = _Pages(site).parts()
     for path, text in chain.from_iterable(computed([partial(rendered, part) for part in parts], "making pages", "parts", _FEW)):
         if path in files:

@@ -28,11 +28,30 @@ from ..numbers.study import Study
 from ..numbers.table import ENOUGH_SEEDS, Table
 from ..numbers.words import file_slug, group_slug, ordered, span
 from .drawing import DASHES
-from .models import MISSING, Item, Row, Section, swatch
+from .models import MISSING, Item, Picture, Row, Section, swatch
 
 Paper = tuple[Entry, Entry | None]  # the paper's number, and how far ours is from it
 Run = tuple[str, str, str, int, str]  # group, dataset id, algorithm, seed, who handed it in: what records are told apart by
+BEST_TEST = "two-sided Welch test over seeds, Holm's correction within the task, p ≥ 0.05"
 _LONG = 90  # letters of a name that stands in a line with others
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What there is to see of a task's policies.
+
+    Attributes:
+        best: the run with the largest final score.
+        has_policy: whether its policy lies beside its record.
+        shown: the best run of which there is a video, if there is one.
+        suffix, content: of that video.
+    """
+
+    best: Record
+    has_policy: bool
+    shown: Record | None = None
+    suffix: str = ""
+    content: bytes = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True)
@@ -46,6 +65,8 @@ class Site:
         local: datasets that are on this machine, by ``Dataset.slug``.
         studies: as in ``api.Report``.
         hidden: tables of the methods that only studies show, for the pages of their runs.
+        links: addresses of records from the site's root, of those that are near it.
+        clips: what there is to see of each table's policies, by its slug and the task.
     """
 
     tables: Sequence[Table]
@@ -57,6 +78,8 @@ class Site:
     local: Mapping[str, Local] = field(default_factory=dict)
     studies: Sequence[Study] = ()
     hidden: Sequence[Table] = ()
+    links: Mapping[Run, str] = field(default_factory=dict)
+    clips: Mapping[tuple[str, str], Clip] = field(default_factory=dict)
 
     @cached_property
     def boards(self) -> list[ComparisonPage]:
@@ -325,6 +348,11 @@ def domain_text(name: str) -> str:
     return domain_title(name) if name in DOMAINS or name.startswith(SUITE) else name
 
 
+def domain_pictures(name: str) -> tuple[Picture, ...]:
+    """The picture of a domain, if there is one."""
+    return (Picture(picture_path(name), f"A picture of {domain_text(name)} in MuJoCo.", domain_text(name)),) if name in DOMAINS else ()
+
+
 def number(value: float) -> Item:
     """A cell of one number."""
     return Item(f"{value:.1f}", value)
@@ -366,6 +394,21 @@ def domain_path(table: Table) -> str:
 def study_path(study: Study) -> str:
     """The page of a study."""
     return f"{study.folder}/{study.name}.html"
+
+
+def clip_path(table: Table, task: str, clip: Clip) -> str:
+    """The video of a task's policy."""
+    return f"{table.slug}/best-{task}{clip.suffix}"
+
+
+def pictures_of(site: Site) -> set[str]:
+    """The domains of a site of which there is a picture."""
+    return {table.domain for table in site.every_table if table.domain in DOMAINS}
+
+
+def picture_path(domain: str) -> str:
+    """The picture of a domain."""
+    return f"site/{domain}.webp"
 
 
 def task_path(table: Table, task: str) -> str:

@@ -24,6 +24,7 @@ from .parts import (
     origin,
     pm,
     reference_text,
+    run_of,
     runs_path,
     task_path,
     version,
@@ -97,6 +98,6 @@ class Runs(Parts):
             ("made", Item(record.created)),
         ]
         if place := self.site.place(record):
-            facts.append(("record", Item(place)))
+            facts.append(("record", Item(place, link=self.site.links.get(run_of(record)))))
         return Section(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
                        code=(("Makes this record again", "\n".join(commands_from_nothing(record))),))  # fmt: skip

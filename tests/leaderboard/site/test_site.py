@@ -12,6 +12,7 @@ import statistics
 import subprocess
 from collections import Counter
 from collections.abc import Iterator
+from importlib.metadata import metadata, version
 from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -26,6 +27,7 @@ from cudc_bench.leaderboard.numbers.overall import build_overall
 from cudc_bench.leaderboard.numbers.published import reported
 from cudc_bench.leaderboard.numbers.studies import build_studies
 from cudc_bench.leaderboard.numbers.table import build_blocks, tables_of
+from cudc_bench.leaderboard.numbers.verdict import verdict
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site, brief
 
@@ -226,6 +228,59 @@ def test_a_dataset_says_how_to_load_and_make_it(pages):
     assert "it was not in Minari's root" in text_of(pages[path])
 
 
+def test_a_dataset_says_what_is_in_an_observation(pages):
+    (path,) = [one for one in pages if one.startswith("datasets/walker-cudc-seed2-v0") and "paper" in text_of(pages[one].find(".//h1"))]
+    (section,) = [one for one in pages[path].iter("section") if one.get("id") == "what-is-in-an-observation"]
+    facts = {text_of(one[0]): text_of(one[1]) for one in section.iter("div") if one.find("dt") is not None}
+    assert [*facts] == ["orientations [0:14]", "height [14]", "velocity [15:24]"]
+    assert facts["height [14]"] == "torso.z"
+    assert sum(len(names.split(", ")) for names in facts.values()) == 24
+
+
+def test_papers_and_how_to_get_this_are_there(pages):
+    about = next(one for one in pages["index.html"].iter("section") if one.get("id") == "get-it")
+    facts = {text_of(one[0]): one[1] for one in about.iter("div") if one.find("dt") is not None}
+    assert facts["paper"].find("a").get("href") == "https://arxiv.org/abs/2312.12191"
+    assert (text_of(facts["code"]), text_of(facts["licence"])) == (
+        f"cudc-bench {version('cudc-bench')}",
+        metadata("cudc-bench")["License-Expression"],
+    )
+    assert "pip install ." in [text_of(one) for one in about.iter("pre")]
+    links = {one.get("href") for one in pages["methods/index.html"].iter("a")}
+    assert {"https://arxiv.org/abs/2312.12191", "https://arxiv.org/abs/1705.05363"} <= links
+
+
+def test_marks_are_explained_where_they_stand(pages):
+    for path, page in pages.items():
+        marked = any(one.get("class") == "best" for one in page.iter("span"))
+        assert not marked or any("Bold and ●" in text_of(one) for one in page.iter("p")), path
+
+
+def test_what_the_tests_say_stands_above_their_numbers(pages, example_records):
+    (overall,) = [one for one in site_of(example_records).overall if one.slug == "paper.td3"]
+    said = {one.get("data-milestone"): text_of(one) for one in pages["index.html"].iter("p") if one.get("class") == "verdict"}
+    assert said.keys() == {"500000", "100000"}
+    for comparison in overall.comparisons:
+        if comparison.scope == overall.headline.scope:
+            assert " ".join(verdict(overall, comparison)) in said[str(comparison.milestone)]
+            assert "Not compared, since too little is there of it: mine." in said[str(comparison.milestone)]
+
+
+def test_figures_are_there_for_each_milestone_and_none_is_a_file(pages, report):
+    assert not [*report.rglob("*.svg"), *report.rglob("*.pdf")]
+    for path in ("index.html", "paper.td3/index.html", "paper.td3.walker/index.html"):
+        milestones = Counter(one.get("data-milestone") for one in pages[path].iter("figure"))
+        assert milestones["500000"] == milestones["100000"] > 0, path
+
+
+def test_tables_are_sorted_by_result_and_say_so(pages):
+    for path, caption in (("index.html", "all domains"), (WALK_PAGE, "walker walk after 500K"), (WALK_PAGE, "walker walk after 100K")):
+        for table in (one for one in pages[path].iter("table") if text_of(one.find("caption")).startswith(caption)):
+            (head,) = [place for place, one in enumerate(table.findall("thead/tr")[-1]) if one.get("aria-sort") == "descending"]
+            values = [float(row[head].get("data-value")) for row in table.findall("tbody/tr")]
+            assert values == sorted(values, reverse=True)
+
+
 def test_imported_datasets_have_no_command(pages):
     (path,) = [one for one in pages if one.startswith("datasets/") and "ExORL" in text_of(pages[one].find(".//h1"))]
     text = text_of(pages[path])
@@ -313,7 +368,7 @@ def test_headings_are_in_order_and_tables_have_captions_and_scopes(pages):
             assert all(one.get("scope") for one in table.iter("th"))
         for image in page.iter("img"):
             assert len(image.get("alt")) > 20
-        for figure in page.iter("figure"):
+        for figure in (one for one in page.iter("figure") if one.get("class") == "drawing"):
             (drawing,) = [one for one in figure.iter("div") if one.get("role") == "img"]
             assert len(drawing.get("aria-label")) > 20
             assert [*drawing.iter("{http://www.w3.org/2000/svg}svg")] or [*drawing.iter("svg")]

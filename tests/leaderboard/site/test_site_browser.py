@@ -20,7 +20,7 @@ if CHROMIUM is None:
 
 MATRIX = 'table:has(caption:has-text("profile paper, {}"))'
 PAGES = ("index.html", "paper.td3.walker/index.html", "paper.td3.walker/task-walk.html", "paper.td3.walker/runs-walk.cudc.html",
-         "methods/index.html", "methods/method-cudc.html", "datasets/index.html")  # fmt: skip
+         "methods/index.html", "methods/method-cudc.html", "datasets/index.html", "cpu.td3.walker/k-bound.html")  # fmt: skip
 
 
 class Reader:
@@ -38,7 +38,8 @@ class Reader:
         self.page.on("request", lambda request: None if request.url.startswith("file://") else self.wrong.append(request.url))
 
     def open(self, path: str) -> Any:
-        self.page.goto((self.report / path).as_uri())
+        name, mark, query = path.partition("?")
+        self.page.goto(f"{(self.report / name).as_uri()}{mark}{query}")
         return self.page
 
     def run(self, script: str, *arguments: Any) -> Any:
@@ -142,6 +143,49 @@ def test_milestones_returns_and_the_paper_switch(reader):
     assert (last.is_visible(), before.is_visible()) == (False, True)
     page.get_by_role("radio", name="all").check()
     assert (last.is_visible(), before.is_visible()) == (True, True)
+
+
+def test_figures_follow_the_switch_between_milestones(reader):
+    page = reader.open("paper.td3.walker/index.html")
+    drawn = {one: page.locator(f'figure[data-milestone="{one}"]').first for one in ("500000", "100000")}
+    chosen = {one: page.locator(f'.plot g[data-milestone="{one}"]').first for one in drawn}
+    for milestone, other in (("500000", "100000"), ("100000", "500000")):
+        page.get_by_role("radio", name=f"{milestone[0]}00K").check()
+        for found in (drawn, chosen):
+            assert reader.run("(one) => getComputedStyle(one).display", found[milestone].element_handle()) != "none"
+            assert reader.run("(one) => getComputedStyle(one).display", found[other].element_handle()) == "none"
+
+
+def test_what_is_chosen_stands_in_the_address_and_comes_back_from_it(reader):
+    page = reader.open("index.html")
+    assert "?" not in page.url
+    table = MATRIX.format("100K")
+    page.get_by_role("radio", name="100K").check()
+    page.get_by_label("normalised").check()
+    page.get_by_label("Filter methods").fill("c")
+    page.get_by_role("button", name="Dark mode").click()
+    page.locator(f"{table} thead tr:last-child th button").nth(0).click()
+    page.locator(f"{table} thead tr:last-child th button").nth(0).click()
+    address, shown = page.url, reader.names(table)
+    assert shown == ["icm", "cudc"]
+    for part in ("milestone=100000", "scale=scaled", "filter=c", "theme=dark", "sort="):
+        assert part in address, part
+    # Somebody else opens it.
+    page.context.clear_cookies()
+    reader.run("localStorage.clear()")
+    page.goto("about:blank")
+    page.goto(address)
+    assert (page.url, reader.names(table)) == (address, shown)
+    assert page.get_by_label("Filter methods").input_value() == "c"
+    assert page.get_by_role("button", name="Light mode").is_visible()
+    # What another page has, too, goes along; what is this page's own does not.
+    page.locator(table).locator("tbody tr:nth-child(2) td").nth(1).locator("a").click()
+    page.wait_for_url("**/runs-walk.cudc.html?*")
+    assert "milestone=100000" in page.url
+    assert "filter" not in page.url
+    assert page.url.endswith("#at-100000")
+    reader.open("index.html?milestone=7&scale=x&sort=nothing~1~up&sort=filter~0~up&sort=x&theme=<b>&filter=")
+    assert page.locator(MATRIX.format("500K")).is_visible()
 
 
 @pytest.mark.parametrize("reader", [{"permissions": ["clipboard-read", "clipboard-write"]}, {}], indirect=True, ids=["allowed", "refused"])
