@@ -1,4 +1,7 @@
-"""Pictures of the leaderboard's site for the README: ``make screenshots RECORDS=results``. Needs Chromium and the extra [dev]."""
+"""Pictures of the leaderboard's site for the README: ``make screenshots RECORDS=results``. Needs Chromium and the extra [dev].
+
+``python docs/screenshots.py domains leaderboard/site/pictures`` draws the pictures of the domains that the site shows; needs EGL or OSMesa.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,10 @@ from typing import Literal
 from playwright.sync_api import sync_playwright
 
 import cudc_bench
+from cudc_bench.envs.domains import DOMAINS
 
 WIDTH, HEIGHT = 1200, 1000
+SETTLED = 8  # steps without an action, after which a body stands or falls as it does
 
 
 def main(records: str, output: str) -> None:
@@ -44,5 +49,24 @@ def main(records: str, output: str) -> None:
         browser.close()
 
 
+def draw_domains(output: str) -> None:
+    """Each domain a few steps after a reset."""
+    import gymnasium
+    import numpy as np
+    from PIL import Image
+
+    for name in DOMAINS:
+        environment = gymnasium.make(f"cudc_bench/{name}-v0", render_mode="rgb_array", width=480, height=360)
+        environment.reset(seed=3)
+        for _ in range(SETTLED):
+            environment.step(np.zeros(environment.action_space.shape, np.float32))
+        path = Path(output) / f"{name}.webp"
+        Image.fromarray(environment.render()).save(path, quality=82, method=6)
+        print(path)
+
+
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    if sys.argv[1] == "domains":
+        draw_domains(sys.argv[2])
+    else:
+        main(*sys.argv[1:3])

@@ -366,13 +366,13 @@ class Boards(Studies):
                 (milestone, task_verdict(_results(table, milestone, task))) for milestone in reversed(table.milestones)
             )),
         ]  # fmt: skip
-        sections += self._best_policy(table, task)
         if task in runs.tasks:
             of = f"{table.algorithm} on {table.domain} {task}, profile {brief(table.group)}"
             caption = f"{of}: {seeds_text(runs.seeds)}, upright dots: milestones"
             figure = self._drawn(None, curves(runs, self._styles, task), caption, what, self.legend(runs.methods),
                                  with_references({task: runs.references[task]} if task in runs.references else {}))  # fmt: skip
             sections.append(Section("Learning curves", figures=(figure,), downloads=self.downloads(table.slug, (f"task-{task}",))))
+        sections += self._best_policy(table, task)
         lead = (
             f"{table.algorithm}, profile {brief(table.group)}."
             + (f" The largest possible return is {largest:,.0f}." if largest else " The largest possible return is not known."),

@@ -256,7 +256,7 @@ def dots(values: Sequence[float], mean: float, largest: float, colour: str) -> M
         return 4 + 112 * min(max(value / largest, 0.0), 1.0)
 
     marks = Markup().join(
-        Markup('<circle cx="{x:.1f}" cy="8" r="2.6" fill="currentColor" fill-opacity="0.5"/>').format(x=place(one)) for one in values
+        Markup('<circle cx="{x:.1f}" cy="8" r="2.6" fill="currentColor" fill-opacity="0.7"/>').format(x=place(one)) for one in values
     )
     return Markup(
         '<svg class="strip" width="120" height="16" viewBox="0 0 120 16" aria-hidden="true">'
