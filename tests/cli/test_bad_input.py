@@ -390,7 +390,9 @@ ATTACKS = [
     attack("show BAD", not_among(SHOWN).filter(lambda text: not text.startswith("-")), ""),
     attack("delete BAD --yes", plain_ids, "is not a dataset id"),
     attack("delete walker/walk/cudc-smoke-v0 BAD --yes", plain_ids, "is not a dataset id"),
-    attack("delete walker/walk/cudc-smoke-v0 --yes --output BAD", bad_paths.filter(lambda path: path not in {"file", "/dev/null"}), "records"),
+    attack(
+        "delete walker/walk/cudc-smoke-v0 --yes --output BAD", bad_paths.filter(lambda path: path not in {"file", "/dev/null"}), "records"
+    ),
     attack("MINARI_DATASETS_PATH=BAD delete walker/walk/cudc-smoke-v0 --yes", bad_roots, ""),
     attack("MINARI_DATASETS_PATH=BAD list", bad_roots, "dataset root"),
     attack("doctor BAD", anything.map(lambda text: f"{text}?"), ""),
