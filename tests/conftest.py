@@ -61,6 +61,9 @@ def datasets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     monkeypatch.setenv("CUDC_BENCH_THRESHOLDS", str(root.with_name("thresholds.json")))
     monkeypatch.delenv("CUDC_BENCH_PROFILE", raising=False)
+    # Commands that are run in this process set these for those that they start.
+    monkeypatch.setenv("CUDC_BENCH_QUIET", "")
+    monkeypatch.setenv("CUDC_BENCH_DEBUG", "")
     return root
 
 

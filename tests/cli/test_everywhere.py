@@ -10,7 +10,7 @@ import typer
 
 from cudc_bench import plugins
 from cudc_bench.cli.app import main
-from cudc_bench.errors import DEBUG, RunError
+from cudc_bench.errors import RunError
 from cudc_bench.execution.progress import QUIET, bars, draws_bars, echo, warn
 
 from .test_process import only
@@ -21,13 +21,6 @@ def run(arguments: list[str]) -> int:
         main(arguments)
     assert isinstance(ended.value.code, int)
     return ended.value.code
-
-
-@pytest.fixture(autouse=True)
-def put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both options set variables for the processes that a command starts."""
-    monkeypatch.setenv(QUIET, "")
-    monkeypatch.setenv(DEBUG, "")
 
 
 def test_h_is_help_everywhere(here: Callable) -> None:
