@@ -21,15 +21,17 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
+from markupsafe import Markup, escape
+
 from cudc_bench.execution.parallel import computed
-from cudc_bench.text import html_templates
+from cudc_bench.text import html_templates, plain
 
 from ..methods import styles
 from ..numbers.table import Table
 from ..numbers.words import short
 from .boards import Boards
 from .catalogue import Catalogue
-from .models import Page
+from .models import HtmlTable, Item, Page, Row
 from .palette import palette_css
 from .parts import ComparisonPage, Site, brief, clip_path, picture_path, pictures_of
 from .runs import Runs
@@ -50,7 +52,7 @@ def site_files(site: Site) -> dict[str, str | bytes]:
     def rendered(pages: Callable[[], Iterable[Page]]) -> list[tuple[str, str]]:
         return [
             (page.path, template.render(page=page, to=_Links(page.path), style="site/site.css", script="site/site.js",
-                                        identify=_Ids(), short=short))
+                                        identify=_Ids(), short=short, cells=_cells))
             for page in pages()
         ]  # fmt: skip
 
@@ -66,6 +68,17 @@ def site_files(site: Site) -> dict[str, str | bytes]:
             raise AssertionError(f"two pages want to be {path}")
         files[path] = text
     return files
+
+
+def _cells(line: Row, grid: HtmlTable, draw: Callable[[Item], Markup]) -> Markup:
+    """A row without its head; ``draw`` is the template's way to draw a cell. Most cells are texts, and there are a hundred thousand."""
+    parts = []
+    for column, item in zip(grid.columns, line.items, strict=True):
+        number = ' class="number"' if column.number else ""
+        value = f' data-value="{item.value}"' if item.value is not None else " data-missing" if item.missing else ""
+        shown = escape(plain(item.text)) if item.simple and item.link is None else draw(item).strip()
+        parts.append(f"<td{number}{value}>{shown}</td>")
+    return Markup("".join(parts))
 
 
 class _Pages(Boards, Runs, Catalogue):
