@@ -22,7 +22,7 @@ FIGURES = {f"{name}.{kind}" for name in ("curves", "bars", "intervals", "profile
 
 def of_site(file):
     """Whether ``test_site.py`` looks at it."""
-    return file.suffix in {".html", ".css", ".js"}
+    return file.suffix in {".html", ".css", ".js", ".webp"}
 
 
 def test_writes_files_for_each_table_and_each_group(make_record, save, tmp_path):
@@ -138,7 +138,7 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
         str(tmp_path / "out" / "index.html")
     }
     assert (len(printed), set(printed)) == (len(expected), expected)
-    assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js"})
+    assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js", "walker.webp"})
 
     told = run(results, "--output", tmp_path / "out", "--profile", "cpu", "--json")
     found = LeaderboardDocument.model_validate_json(told.stdout)
