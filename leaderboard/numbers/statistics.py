@@ -22,7 +22,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from math import comb, inf, lcm, prod
 from typing import Any
@@ -459,8 +459,16 @@ def stratified(scores: Floats, name: str) -> dict[str, Interval]:
         name: what the draws are of, see :func:`draw`.
     """
     n, tasks = scores.shape
-    found = bootstrapped(scores, counted(draw(n, tasks, name)))
+    found = bootstrapped(scores, _drawn(draw, n, tasks, name))
     return {aggregate: Interval(*_ends(values, (1 - CONFIDENCE) / 2)) for aggregate, values in zip(AGGREGATES, found, strict=True)}
+
+
+@lru_cache(maxsize=64)
+def _drawn(draw: Callable[[int, int, str], Integers], n: int, tasks: int, name: str) -> Counts:
+    """How often each seed is drawn; the same for a method in all comparisons of as many seeds and tasks, of which there are many."""
+    counts = counted(draw(n, tasks, name))
+    counts.setflags(write=False)
+    return counts
 
 
 def draw(n: int, tasks: int, name: str, resamples: int = RESAMPLES) -> Integers:
