@@ -14,6 +14,7 @@ from minari.dataset.minari_dataset import parse_dataset_id
 
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.errors import UsageError
+from cudc_bench.settings.profiles import PROFILES
 
 LOWER = string.ascii_lowercase + string.digits
 component = st.text(LOWER + "_", min_size=2, max_size=64).filter(lambda part: part != "data")
@@ -76,11 +77,19 @@ def test_any_text_is_refused_or_a_path_below_the_root(text: str) -> None:
     assert path.relative_to(root).as_posix() == text
 
 
-@given(st.from_regex(r"[a-z]{2,12}", fullmatch=True).filter(lambda part: part != "data"), name, st.integers(0, 10**9))
-def test_default_ids_differ_between_seeds(domain: str, method: str, seed: int) -> None:
-    first, second = default_id(domain, method, seed), default_id(domain, method, seed + 1)
+@given(
+    st.from_regex(r"[a-z]{2,12}", fullmatch=True).filter(lambda part: part != "data"),
+    name,
+    st.integers(0, 10**9),
+    st.sampled_from(PROFILES),
+)
+def test_default_ids_differ_between_seeds(domain: str, method: str, seed: int, profile: str) -> None:
+    first, second = default_id(domain, method, seed, profile), default_id(domain, method, seed + 1, profile)
     assert first != second
-    assert default_id(domain, method, 1) == DatasetId(domain, method, 0)
+    # What ``auto`` takes has the plain name, and so has what was imported; what is for trying is not in their way.
+    plain = {default_id(domain, method, 1, one) for one in ("paper", "cpu", "imported")}
+    assert plain == {DatasetId(domain, method, 0)}
+    assert len({default_id(domain, method, seed, one) for one in PROFILES}) == len(PROFILES) - 1
 
 
 @pytest.mark.parametrize("one", ["walker/cudc-v0", "walker/walk/cudc-seed2-v3", "aa/bb/cc/dd/0-v999999", "__/data-v0", "walker/data_/x-v1"])

@@ -20,7 +20,7 @@ from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.errors import RunError, UsageError
 
 FIELDS = ("observations", "actions", "rewards", "terminations", "truncations", "infos/physics")
-BASE = "walker/cudc-v0"
+BASE = "walker/cudc-smoke-v0"
 
 
 def hashed(episodes: list[dict[str, np.ndarray]]) -> str:
@@ -80,7 +80,7 @@ def test_a_collected_dataset_fits_its_fingerprint(smoke: Path) -> None:
     assert tuple(sorted(manifest.fields)) == tuple(sorted(FIELDS))
     assert verify_fingerprint(BASE) == manifest.fingerprint
     for task in ("stand", "walk", "run", "flip"):
-        assert verify_fingerprint(f"walker/{task}/cudc-v0") == read_manifest(f"walker/{task}/cudc-v0").fingerprint
+        assert verify_fingerprint(f"walker/{task}/cudc-smoke-v0") == read_manifest(f"walker/{task}/cudc-smoke-v0").fingerprint
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -94,7 +94,7 @@ def test_one_flipped_bit_in_the_file_is_found_and_its_field_named(field: str, sm
         verify_fingerprint(BASE)
     if field != "rewards":  # the linked set has rewards of its own
         with pytest.raises(RunError, match=f"does not fit its fingerprint: {field} changed"):
-            cudc_bench.load_transitions("walker/walk/cudc-v0", verify=True)
+            cudc_bench.load_transitions("walker/walk/cudc-smoke-v0", verify=True)
 
 
 def test_swapped_episodes_are_found(smoke: Path) -> None:
@@ -156,14 +156,14 @@ def test_damaged_metadata_is_one_line(content: str, error: type[Exception], smok
 
 
 def test_a_missing_dataset_is_refused_with_the_root(datasets: Path) -> None:
-    for one in (BASE, "walker/walk/cudc-v0", "aa/bb/cc/dd/cudc-v0"):
+    for one in (BASE, "walker/walk/cudc-smoke-v0", "aa/bb/cc/dd/cudc-smoke-v0"):
         with pytest.raises(UsageError) as caught:
             read_manifest(one)
         assert str(caught.value) == f"there is no dataset '{one}' in {datasets}."
 
 
 def test_a_taken_id_says_by_what_and_the_way_out(smoke: Path, make_dataset: Callable, make_episodes: Callable) -> None:
-    with pytest.raises(UsageError, match=r"'walker/cudc-v0' exists \(cudc, profile smoke, seed 1, 3,000 steps\); use --overwrite, "):
+    with pytest.raises(UsageError, match=r"'walker/cudc-smoke-v0' exists \(cudc, profile smoke, seed 1, 3,000 steps\); use --overwrite, "):
         check_free(parse_id(BASE), overwrite=False)
     check_free(parse_id(BASE), overwrite=True)
     check_free(parse_id("walker/cudc-v1"), overwrite=False)
