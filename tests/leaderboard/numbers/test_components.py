@@ -330,6 +330,6 @@ def test_pages_count_them_once_too(runs: Callable) -> None:
     records = [*runs("cudc", trainings, ("walk",)), *runs("icm", trainings, ("walk",))]
     pages = [pages_of(some)["cpu.td3.walker/task-walk.html"] for some in (records, averaged(records))]
     # A row has a dot and a number for each dataset.
-    assert [page.count('fill-opacity="0.5"') for page in pages] == [2 * 2 * 3] * 2
+    assert [page.count('r="2.6"') for page in pages] == [2 * 2 * 3] * 2
     tables = [page[page.index("<tbody>") : page.rindex("</tbody>")] for page in pages]
     assert tables[0] == tables[1]
