@@ -19,21 +19,21 @@ _VIDEOS = (".mp4", ".gif")  # as ``cudc-bench render`` names them
 _LARGEST = 20_000_000  # bytes of a video on a page; of ten seconds it has a fiftieth of that
 
 
-def links_to_records(loaded: Loaded, paths: Sequence[Path], output: Path) -> dict[Run, str]:
+def links_to_records(loaded: Loaded, output: Path) -> dict[Run, str]:
     """Where each record is from the site's root, as an address; only of those below the folder that the output is in, too.
 
     Results and report lie side by side by default and may be put on a host together. Other places are nobody's business.
     """
     above = Path(os.path.abspath(output)).parent
-    bases = {path: Path(os.path.abspath(path)) for path in paths}
+    near: dict[Path, str | None] = {}  # of ten thousand records' folders
     found = {}
     for record, file in zip(loaded.records, loaded.paths, strict=True):
-        base = next((path for path in paths if path == file or file.is_relative_to(path)), None)
-        if base is None or len(above.parts) < 2:
-            continue
-        place = bases[base] / file.relative_to(base)
-        if place.is_relative_to(above):
-            found[run_of(record)] = "../" + quote(os.fsencode(place.relative_to(above).as_posix()))
+        folder = file.parent
+        if folder not in near:
+            place = Path(os.path.abspath(folder))
+            near[folder] = place.relative_to(above).as_posix() if len(above.parts) > 1 and place.is_relative_to(above) else None
+        if (place_below := near[folder]) is not None:
+            found[run_of(record)] = "../" + quote(os.fsencode(f"{place_below}/{file.name}"))
     return found
 
 
@@ -44,7 +44,7 @@ def find_clips(loaded: Loaded, tables: Iterable[Table]) -> dict[tuple[str, str],
     for table in tables:
         for task in table.tasks:
             runs = [record for record in table.records if record.dataset.task == task and id(record) in files]
-            runs.sort(key=lambda one: (-one.conclusion.mean, one.dataset.id, one.seed))
+            runs.sort(key=lambda one: (-(one.score(one.final.step) or 0.0), one.dataset.id, one.seed))
             if runs:
                 found[table.slug, task] = _clip(runs, files)
     return found

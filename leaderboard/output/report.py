@@ -101,7 +101,7 @@ def make_report(
 
         def site_part(there: Mapping[str, Sequence[str]]) -> Target:
             places = _places(loaded, paths)
-            links, clips = links_to_records(loaded, paths, folder), find_clips(loaded, tables)
+            links, clips = links_to_records(loaded, folder), find_clips(loaded, tables)
             site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden, links, clips)
             known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
                      (f"{slug} {one.digest}" for slug, one in local.items()), map(repr, links.items()),

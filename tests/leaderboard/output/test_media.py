@@ -76,18 +76,18 @@ def test_a_video_that_no_page_should_load_is_left_out(results: Path, monkeypatch
 
 def test_records_are_linked_where_they_lie_beside_the_report(results: Path, tmp_path: Path) -> None:
     loaded = load_records([results])
-    links = links_to_records(loaded, [results], tmp_path / "report")
+    links = links_to_records(loaded, tmp_path / "report")
     assert sorted(links.values()) == sorted(f"../results/{file.relative_to(results).as_posix()}" for file in loaded.paths)
     _, files = page_of(results, links=links)
     runs = files["cpu.td3.walker/runs-walk.icm.html"]
     assert '<a href="../../results/cpu/walker/walk/icm-seed1-v0/td3-seed1.json">' in runs  # type: ignore[operator]
     # Where somebody keeps things elsewhere is nobody's business.
-    assert links_to_records(loaded, [results], tmp_path / "elsewhere" / "report") == {}
+    assert links_to_records(loaded, tmp_path / "elsewhere" / "report") == {}
 
 
 def test_odd_names_of_files_are_addresses(make_record: Callable[..., Record], tmp_path: Path) -> None:
     folder = tmp_path / 'a "b" <c>#?'
     folder.mkdir()
     (folder / "é&%.json").write_text(make_record().model_dump_json())
-    (link,) = links_to_records(load_records([folder]), [folder], tmp_path / "report").values()
+    (link,) = links_to_records(load_records([folder]), tmp_path / "report").values()
     assert link == "../a%20%22b%22%20%3Cc%3E%23%3F/%C3%A9%26%25.json"
