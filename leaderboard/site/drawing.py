@@ -21,6 +21,7 @@ T = TypeVar("T")
 WIDTH, HEIGHT = 320.0, 200.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 10.0, 24.0, 38.0
 _ROW = 19.0
+_ALONE = 1.25  # so much larger is a panel that stands alone; those side by side take the room there is
 _LETTER = 6.8  # pixels of a letter of 11, of most
 _HUGE = 1e100  # Nothing that means something is larger, and squares of it are still numbers.
 _MOST_POINTS = 160  # of a line: one for each two pixels
@@ -225,8 +226,8 @@ def shares_panel(names: Sequence[str], shares: Sequence[Sequence[float]], styles
 
 
 def _svg(size: tuple[float, float], parts: Iterable[Markup]) -> Markup:
-    width, height = map(_n, size)
-    return Markup('<svg class="plot" width="{0}" height="{1}" viewBox="0 0 {0} {1}">{2}</svg>').format(width, height, Markup().join(parts))
+    box, shown = map(_n, size), (_n(_ALONE * one) for one in size)
+    return Markup('<svg class="plot" width="{2}" height="{3}" viewBox="0 0 {0} {1}">{4}</svg>').format(*box, *shown, Markup().join(parts))
 
 
 def _frame(title: str, across: Axis, up: Axis | None, size: tuple[float, float], left: float) -> Markup:
