@@ -67,14 +67,11 @@ REFUSALS = {
     "relabel --task wlak --seed 2": "unknown walker task 'wlak'; allowed: flip, run, stand, walk. Did you mean 'walk'?",
     "relabel --method cudk": "unknown method 'cudk'",
     "relabel --domain wlaker": "unknown domain 'wlaker'",
-    "relabel --profile cpu": "exists at another profile (cudc, profile smoke, seed 1, 3,000 steps) than cpu; use --profile smoke",
     "evaluate --algo td4": "Did you mean 'td3'?",
     "evaluate --task wlak": "unknown walker task 'wlak'",
     "evaluate --task ,": "no task was given",
     "evaluate --domain wlaker": "unknown domain 'wlaker'",
     "evaluate --method random,cudk": "unknown method 'cudk'",
-    "evaluate --profile cpu": "'walker/cudc-smoke-v0' exists at another profile",
-    "evaluate --profile cpu --method random,cudc": "'walker/cudc-smoke-v0' exists at another profile",
     "evaluate --profile cpu --dataset-id walker/walk/cudc-smoke-v0": "'walker/walk/cudc-smoke-v0' exists at another profile",
     "evaluate --set gradient_steps=-1": "'gradient_steps' cannot be '-1'",
     "evaluate --set evaluate_every=7": "the milestone 20 is never evaluated",
@@ -252,6 +249,12 @@ def test_what_was_tried_is_not_in_the_way_of_what_follows(cli: Callable, here: C
     assert (real.code, real.out) == (0, "walker/random-v0\n"), real.err
     assert [read_manifest(f"walker/{name}-v0").profile for name in ("random", "random-smoke")] == ["cpu", "smoke"]
     assert minari.load_dataset("walker/random-v0").total_steps == 1000
+    # The two that share the plain name are never taken for one another.
+    for words in (["relabel"], ["evaluate"], ["evaluate", "--method", "icm,random"]):
+        refused = here([*words, *([] if "--method" in words else ["--method", "random"]), "--profile", "paper"])
+        assert (refused.code, refused.out, len(refused.err.splitlines())) == (2, "", 1)
+        there = "'walker/random-v0' exists at another profile (random, profile cpu with steps=1000, seed 1, 1,000 steps) than paper"
+        assert f"{there}; use --profile cpu" in refused.err
     # Each profile's own is what its other commands find.
     assert here(["relabel", "--method", "random", "--task", "walk"]).out == "walker/walk/random-smoke-v0\n"
 
