@@ -119,7 +119,10 @@ def _without_collector() -> Iterator[None]:
         yield
     finally:
         if enabled:
+            # Through the frozen ones they become old at once; as new ones all would be looked through now.
+            gc.freeze()
             gc.enable()
+            gc.unfreeze()
 
 
 def to_frame(records: Iterable[Record]) -> pd.DataFrame:
