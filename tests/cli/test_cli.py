@@ -299,7 +299,7 @@ def test_several_seeds_in_processes_of_their_own(cli: Callable, datasets: Path) 
 
 
 def test_a_failure_in_a_run_is_one_line_with_exit_code_1(here: Callable, smoke: Path, tmp_path: Path) -> None:
-    (smoke / "walker" / "cudc-v0").rename(tmp_path / "moved")
+    (smoke / "walker" / "cudc-smoke-v0").rename(tmp_path / "moved")
     done = here(["evaluate", "--dataset-id", "walker/walk/cudc-smoke-v0"])
     assert done.code == 1
     said = "cudc-bench: error: 'walker/walk/cudc-smoke-v0' links to 'walker/cudc-smoke-v0', which is missing;"
@@ -308,7 +308,7 @@ def test_a_failure_in_a_run_is_one_line_with_exit_code_1(here: Callable, smoke: 
 
 
 def test_who_asks_sees_where_an_error_came_from(here: Callable, smoke: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (smoke / "walker" / "cudc-v0" / "data" / "main_data.hdf5").write_bytes(b"nothing")
+    (smoke / "walker" / "cudc-smoke-v0" / "data" / "main_data.hdf5").write_bytes(b"nothing")
     command = ["evaluate", "--dataset-id", "walker/walk/cudc-smoke-v0"]
     monkeypatch.setenv(DEBUG, "0")
     plain = here(command)
@@ -357,8 +357,8 @@ def is_running(process: int) -> bool:
 
 def test_list_shows_what_can_be_used_and_what_exists(cli: Callable, smoke: Path) -> None:
     # Neither half-written nor foreign folders may break it.
-    (smoke / "walker" / ".cudc-v0.building" / "data").mkdir(parents=True)
-    (smoke / "walker" / ".cudc-v0.building" / "data" / "metadata.json").write_text("{}")
+    (smoke / "walker" / ".cudc-smoke-v0.building" / "data").mkdir(parents=True)
+    (smoke / "walker" / ".cudc-smoke-v0.building" / "data" / "metadata.json").write_text("{}")
     (smoke / "walker" / "Théirs [bold]-v0" / "data").mkdir(parents=True)
     (smoke / "walker" / "Théirs [bold]-v0" / "data" / "metadata.json").write_text("{")
     done = cli("list")

@@ -165,4 +165,4 @@ def test_of_two_processes_on_one_id_one_runs_and_the_other_says_so(datasets: Pat
     ]
     assert "Traceback" not in second.stderr
     assert verify_fingerprint("walker/random-smoke-v0")
-    assert everything(datasets / "walker") == ["namespace_metadata.json", *files("random-v0")]
+    assert everything(datasets / "walker") == ["namespace_metadata.json", *files("random-smoke-v0")]

@@ -158,14 +158,15 @@ def test_another_configuration_is_refused_and_fresh_starts_over(
     done = cli("collect", "--method", "random", "--set", "steps=3000", "--fresh")
     assert (done.code, done.out) == (0, "walker/random-smoke-v0\n"), done.err
     assert read_manifest("walker/random-smoke-v0").steps == 3000
-    assert sorted(path.name for path in (datasets / "walker").iterdir()) == ["namespace_metadata.json", "random-v0"]
+    assert sorted(path.name for path in (datasets / "walker").iterdir()) == ["namespace_metadata.json", "random-smoke-v0"]
 
 
 def stopped_with_something_kept(datasets: Path, process: subprocess.Popen[str]) -> list[int]:
     """The two workers, which have stopped themselves at their first checkpoints: otherwise one could be done when the other begins."""
 
     def both() -> list[int]:
-        kept = [name for name in ("random-v0", "random-seed2-v0") if any((datasets / "walker" / f".{name}.building").rglob("*.pt"))]
+        names = ("random-smoke-v0", "random-smoke-seed2-v0")
+        kept = [name for name in names if any((datasets / "walker" / f".{name}.building").rglob("*.pt"))]
         found = [int((datasets / "walker" / f".{name}.lock").read_text().split()[0]) for name in kept]
         return found if len(found) == 2 and all(map(has_stopped, found)) else []
 

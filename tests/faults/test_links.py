@@ -70,7 +70,7 @@ def test_a_dataset_that_is_a_link_is_seen_as_minari_sees_it(datasets: Path, tmp_
         (tmp_path / "disk" / name).mkdir(parents=True)
     (tmp_path / "disk" / "data" / "metadata.json").write_text("{}")
     (datasets / "walker").mkdir(parents=True)
-    for name in ("random-v0", "twin-v0"):
+    for name in ("random-smoke-v0", "twin-v0"):
         (datasets / "walker" / name).symlink_to(tmp_path / "disk")
     (datasets / "quadruped").symlink_to(tmp_path / "disk" / "other")
     (datasets / "walker" / "up").symlink_to(datasets)
@@ -79,8 +79,8 @@ def test_a_dataset_that_is_a_link_is_seen_as_minari_sees_it(datasets: Path, tmp_
 
 
 def test_a_labelled_dataset_behind_a_link_says_so(smoke: Path, tmp_path: Path) -> None:
-    shutil.move(smoke / "walker" / "walk" / "cudc-v0", tmp_path / "elsewhere")
-    (smoke / "walker" / "walk" / "cudc-v0").symlink_to(tmp_path / "elsewhere")
+    shutil.move(smoke / "walker" / "walk" / "cudc-smoke-v0", tmp_path / "elsewhere")
+    (smoke / "walker" / "walk" / "cudc-smoke-v0").symlink_to(tmp_path / "elsewhere")
     for use in (cudc_bench.load_transitions, cudc_bench.verify):
         with pytest.raises(RunError, match=rf"lies behind a symbolic link, really in '{tmp_path}/elsewhere', from where its links"):
             use("walker/walk/cudc-smoke-v0")

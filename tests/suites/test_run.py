@@ -183,7 +183,7 @@ def test_a_killed_scheduler_leaves_no_orphan_and_ctrl_c_leaves_what_goes_on(
     (tmp_path / "my.toml").write_text(TINY.replace("steps = 1000", "steps = 6000000, seed_steps = 500").replace("jaco", "walker").replace(
         "reach_top_left", "walk"
     ))  # fmt: skip
-    kept = datasets / "walker" / ".random-v0.building" / "checkpoints"
+    kept = datasets / "walker" / ".random-smoke-v0.building" / "checkpoints"
     log = tmp_path / "results" / ".suite" / "logs" / "collect-walker-random-seed-1.log"
 
     def newest() -> int:
