@@ -111,7 +111,7 @@ def test_files_made_from_a_dataset_become_that_dataset_again(files: Path) -> Non
 def test_relabelled_rewards_are_those_of_the_original(files: Path) -> None:
     cudc_bench.import_exorl(files, "proto")
     for task in cudc_bench.relabel("walker/proto-v0"):
-        original = load_episodes(task.replace("proto", "cudc"), ("rewards",)).arrays["rewards"]
+        original = load_episodes(task.replace("proto", "cudc-smoke"), ("rewards",)).arrays["rewards"]
         np.testing.assert_array_equal(load_episodes(task, ("rewards",)).arrays["rewards"], original)
         assert read_manifest(task).imported == read_manifest("walker/proto-v0").imported
 

@@ -65,7 +65,7 @@ def small_card(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def collecting(seeds: tuple[int, ...], output: Path) -> tuple[Work[Any], Callable[[], Any]]:
     execution = Execution()
     setting = resolve("icm", "walker", resolve_profile("smoke"), {"steps": 2000})
-    stack = Collecting(setting, execution, [(seed, default_id("walker", "icm", seed)) for seed in seeds])
+    stack = Collecting(setting, execution, [(seed, default_id("walker", "icm", seed, "smoke")) for seed in seeds])
     work = Work(execution, [stack], 1)
     return work, partial(work.carry_out, collect_members, unit="steps", total=setting.loop.steps, threads=1)
 

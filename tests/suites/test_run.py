@@ -150,8 +150,8 @@ def test_a_job_that_fails_stops_no_other_and_datasets_leave_when_their_records_a
     assert set(first) == {f"smoke/jaco/reach_top_left/{name}-smoke-v0/bc-seed1.json" for name in ("random", "proto")}
     assert not exists("jaco/random-smoke-v0")
     assert not exists("jaco/reach_top_left/random-smoke-v0")
-    assert exists("jaco/proto-v0")
-    assert exists("jaco/reach_top_left/proto-v0")
+    assert exists("jaco/proto-smoke-v0")
+    assert exists("jaco/reach_top_left/proto-smoke-v0")
     assert "removed jaco/random-smoke-v0 and 1 labelled from it" in err
     assert list((tmp_path / "report").rglob("table.md"))
 
@@ -241,7 +241,7 @@ def test_a_stack_of_seeds_makes_the_same_records(datasets: Path, tmp_path: Path,
     for stacked in (False, True):
         monkeypatch.setenv("MINARI_DATASETS_PATH", str(datasets / str(stacked)))
         ready = prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report")
-        for job in expand(suite, {("jaco", "random"): 1000}, stacked=stacked).needs:
+        for job in expand(suite, {("jaco", "random"): 1000}, stacked=stacked, profile="smoke").needs:
             do(job, ready.common, lambda done, total: None)
         found[stacked] = records(tmp_path / str(stacked))
         assert not prepare(suite, output=tmp_path / str(stacked), report=tmp_path / "report").queue().plan.needs
