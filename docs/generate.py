@@ -358,6 +358,15 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "departures-of-evaluators": lambda: departures("evaluators"),
     "json": _documents,
     "manifest": _models("cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Pilot"),
-    "record": _models("cudc_bench.artefacts.records", "Record", "DatasetReference", "Evaluation", "TrainingMetrics", "Submission"),
+    "record": _models(
+        "cudc_bench.artefacts.records",
+        "Record",
+        "DatasetReference",
+        "Collection",
+        "Evaluation",
+        "TrainingMetrics",
+        "Submission",
+        "Reran",
+    ),
     "reference": _models("cudc_bench.artefacts.references", "Reference", "ReferenceRun"),
 }

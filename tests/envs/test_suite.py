@@ -244,12 +244,12 @@ def test_names_become_dataset_ids_slugs_and_environments_without_clashes() -> No
     names = suite_names()
     assert len({domain_namespace(name) for name in names}) == len({domain_slug(name) for name in names}) == len(names) > 40
     for name in names:
-        one = default_id(name, "cudc", 2)
+        one = default_id(name, "cudc", 2, "smoke")
         assert one == parse_id(str(one))
         assert one.for_task("run").namespace == f"{domain_namespace(name)}/run"
         assert "/" not in domain_slug(name)
-    assert str(default_id("dm_control/humanoid_CMU-run", "cudc", 1)) == "dm_control/humanoid_cmu_run/cudc-smoke-v0"
-    assert str(default_id("walker", "cudc", 1)) == "walker/cudc-smoke-v0"
+    assert str(default_id("dm_control/humanoid_CMU-run", "cudc", 1, "smoke")) == "dm_control/humanoid_cmu_run/cudc-smoke-v0"
+    assert str(default_id("walker", "cudc", 1, "smoke")) == "walker/cudc-smoke-v0"
     assert domain_slug("walker") == "walker"
 
 
