@@ -29,7 +29,7 @@ demo: setup  ## The main job in a few minutes: collect, relabel, train TD3, prin
 	@MINARI_DATASETS_PATH=$(DEMO)/datasets $(BIN)/cudc-bench evaluate --algo td3 --method cudc,random --profile demo --output $(DEMO)/results > /dev/null
 	@$(BIN)/cudc-bench leaderboard $(DEMO)/results --output $(DEMO)/report
 	@echo
-	@echo "datasets   $(DEMO)/datasets   (MINARI_DATASETS_PATH=$(DEMO)/datasets, then minari.load_dataset('walker/cudc-v0'))"
+	@echo "datasets   $(DEMO)/datasets   (MINARI_DATASETS_PATH=$(DEMO)/datasets, then minari.load_dataset('walker/cudc-demo-v0'))"
 	@echo "records    $(DEMO)/results"
 	@echo "table      $(DEMO)/report/demo.td3.walker/table.md"
 	@echo "curves     $(DEMO)/report/demo.td3.walker/index.html"

@@ -163,11 +163,11 @@ def test_a_function_that_was_changed_is_another_one(place: Path, smoke: Path, cl
 
 def test_one_command_goes_on_with_a_function_that_was_changed(place: Path, smoke: Path, cli: Callable) -> None:
     short = ("evaluate", "--algo", "bc", "--reward", "own_rewards:hop", "--steps", "2", "--no-policy", "--output", "out")
-    (path,) = cli(*short).out.split()
+    (path,) = cli(*short, brief=True).out.split()
     before = read_record(place / path)
     for number, more in enumerate(((), ("--dataset-id", "walker/hop/cudc-smoke-v0"), ("--dataset-id", "walker/cudc-smoke-v0"))):
         (place / "own_rewards.py").write_text(MODULE.replace("0.1 * effort", f"0.{number + 2} * effort"))
-        done = cli(*short, *more, "--overwrite")
+        done = cli(*short, *more, "--overwrite", brief=True)
         assert (done.code, done.out.split()) == (0, [path]), done.err
         after = read_record(place / path)
         assert after.dataset.fingerprint != before.dataset.fingerprint
@@ -176,7 +176,7 @@ def test_one_command_goes_on_with_a_function_that_was_changed(place: Path, smoke
         before = after
     # What has not changed is not made again.
     made = (smoke / "walker/hop/cudc-smoke-v0/data/metadata.json").stat().st_mtime_ns
-    assert cli(*short, "--overwrite").code == 0
+    assert cli(*short, "--overwrite", brief=True).code == 0
     assert (smoke / "walker/hop/cudc-smoke-v0/data/metadata.json").stat().st_mtime_ns == made
 
 
