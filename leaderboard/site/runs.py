@@ -99,5 +99,13 @@ class Runs(Parts):
         ]
         if place := self.site.place(record):
             facts.append(("record", Item(place, link=self.site.links.get(run_of(record)))))
-        return Section(f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts),
-                       code=(("Makes this record again", "\n".join(commands_from_nothing(record))),))  # fmt: skip
+        return Section(
+            f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts), code=_again(record)
+        )
+
+
+def _again(record: Record) -> tuple[tuple[str, str], ...]:
+    """The commands that make a record again from nothing, each with what it does; texts of a page have one line."""
+    *before, last = commands_from_nothing(record)
+    named = zip(("Collects its dataset, where it is missing", "Labels it"), before, strict=False)
+    return (*named, ("Makes this record again", last))

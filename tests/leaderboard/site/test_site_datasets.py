@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 
 import pytest
 
 import cudc_bench
-from cudc_bench.artefacts.again import base_id
+from cudc_bench.artefacts.again import base_id, commands_from_nothing
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.leaderboard.api import make_leaderboard
@@ -69,6 +71,17 @@ def test_commands_make_it_again_under_its_own_name(make_record):
     assert label == "cudc-bench relabel walker/mine-v7"
     assert all(is_own_command(command) for command in (collect, label))
     assert of(make_record(dataset_id="; reboot"))[0].commands == []
+
+
+def test_a_run_on_a_dataset_with_settings_of_its_own_names_every_command(make_record, save, tmp_path):
+    own = "cudc-bench evaluate --algo td3 --profile cpu --dataset-id walker/walk/cudc-v0 --overwrite"
+    record = make_record(dataset_id="walker/walk/cudc-v0", dataset_overrides={"steps": 5}, command=own)
+    make_leaderboard(save(record), tmp_path / "report", datasets=False)
+    (page,) = (tmp_path / "report").rglob("runs-walk.cudc.html")
+    commands = [html.unescape(one) for one in re.findall(r"<pre[^>]*>(.*?)</pre>", page.read_text())]
+    assert commands == commands_from_nothing(record)
+    assert [command.split()[1] for command in commands] == ["collect", "relabel", "evaluate"]
+    assert all(is_own_command(command) for command in commands)
 
 
 def test_a_dataset_that_is_here_is_measured(local, tmp_path):
