@@ -41,7 +41,6 @@ def relabel(
     workers: WorkersOption = None,
 ) -> None:
     """Compute the rewards of tasks from stored physics states."""
-    from cudc_bench.artefacts.ids import default_id
     from cudc_bench.artefacts.manifest import check_free, exists
     from cudc_bench.cli.hints import evaluate_on
     from cudc_bench.envs import check_domain, check_tasks
@@ -57,15 +56,13 @@ def relabel(
     methods, numbers = parse_names(method), parse_seeds(seeds)
     # Also what is of no use beside ids of datasets: whoever gives it wrongly expects something of it.
     check_domain(domain)
-    name_of_profile = resolve_profile(profile).name
+    resolve_profile(profile)
     worker_count(workers, 1)
     if not wanted:
         for name in methods:
-            check_collected(name, domain, numbers, profile=profile)
-            for seed in numbers:
+            for base in check_collected(name, domain, numbers, profile=profile):
                 facts = check_domain(domain)
                 for task in check_tasks(facts, chosen) if reward is None else (load_reward(reward, facts).name,):
-                    base = default_id(domain, name, seed, name_of_profile)
                     # Whether a relabelled dataset fits its base is known once there is one.
                     if not exists(base):
                         check_free(base.for_task(task), overwrite)

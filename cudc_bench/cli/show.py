@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -76,7 +77,7 @@ def _found(name: str, broken: list[str]) -> Iterator[Callable[[], Iterable[Parag
     senses: list[Callable[[], Iterable[Paragraph]]] = []
     for stage in ("collectors", "evaluators"):
         if name in plugins.names(stage):
-            senses.append(lambda stage=stage: _method(stage, name))  # type: ignore[misc]
+            senses.append(partial(_method, stage, name))
     domains: dict[str, Domain] = {}
     for one in dict.fromkeys([*DOMAINS, *plugins.names("domains"), *([name] if name.startswith(SUITE) else [])]):
         try:
@@ -86,12 +87,12 @@ def _found(name: str, broken: list[str]) -> Iterator[Callable[[], Iterable[Parag
                 raise
             broken.append(str(error))
     if name in domains:
-        senses.append(lambda: _domain(domains[name]))
+        senses.append(partial(_domain, domains[name]))
     if name in PROFILES:
-        senses.append(lambda: _profile(PROFILES[name]))
+        senses.append(partial(_profile, PROFILES[name]))
     for domain in domains.values():
         if name in domain.tasks or name in domain.excluded:
-            senses.append(lambda domain=domain: _task(domain, name))  # type: ignore[misc]
+            senses.append(partial(_task, domain, name))
     if not senses:
         tasks = {task for domain in domains.values() for task in domain.tasks}
         raise unknown("name", name, {*plugins.names("collectors"), *plugins.names("evaluators"), *domains, *PROFILES, *tasks})

@@ -49,7 +49,8 @@ class Queue:
         known = {kind: fmean(some) for kind in KINDS if (some := _known(seconds, kind))}
         self._expected = {job: seconds.get(job) or known.get(job.kind, _UNKNOWN) for job in plan.needs}
         self.seconds = dict(self._expected)
-        self._took: dict[Job, float] = {}
+        # Seconds that whole jobs took, and those that were expected of them, by kind and algorithm; and of all.
+        self._took: dict[tuple[Kind, str | None] | None, tuple[float, float]] = {}
         self._ways: dict[Job, float] = {}
         for job in reversed(list(plan.needs)):
             self._ways[job] = self.seconds[job] + max((self._ways[one] for one in self._after[job]), default=0.0)
@@ -93,11 +94,12 @@ class Queue:
         self.done.add(job)
         if seconds is None:
             return
-        self._took[job] = seconds
+        for like in ((job.kind, job.algo), None):
+            took, expected = self._took.get(like, (0.0, 0.0))
+            self._took[like] = took + seconds, expected + self._expected[job]
         for one in self.waiting:
-            like = [done for done in self._took if (done.kind, done.algo) == (one.kind, one.algo)] or list(self._took)
-            factor = sum(self._took[done] for done in like) / sum(self._expected[done] for done in like)
-            self.seconds[one] = self._expected[one] * factor
+            took, expected = self._took.get((one.kind, one.algo), self._took[None])
+            self.seconds[one] = self._expected[one] * took / expected
 
     def fail(self, job: Job, why: str) -> None:
         """It failed, and with it all that needs it."""

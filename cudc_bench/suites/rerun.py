@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,8 +29,8 @@ from cudc_bench.files import check_folder, check_path, read_limited, unwritable,
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import in_full
 
-_STAMP = "rerun.json"  # in the folder: by what it was made
-_LOCK = "rerun.lock"
+# In the scratch folder: by what it was made, whoever is at work, and all that is made. Nothing else in it is ever removed.
+_STAMP, _LOCK, _MADE = "rerun.json", "rerun.lock", "made"
 
 
 @dataclass(frozen=True)
@@ -109,18 +110,23 @@ def rerun(
     folder = check_folder(scratch, "the folder to make them in")
     found = {path: read_record(path) for path in paths}
     _check_own_folder(folder)
-    cases = [_case(path, record, folder, collect, reward) for path, record in found.items()]
+    if reward is not None and all(record.dataset.reward is None for record in found.values()):
+        raise UsageError(f"no dataset of these records is labelled by {reward}; leave out --reward.")
+    cases = [_case(path, record, folder / _MADE, collect, reward) for path, record in found.items()]
     with interrupts.leaving_gracefully(), locked(folder / _LOCK, f"what is made again in {folder}"):
         _begin(folder, cases)
         echo(f"making {len(cases)} runs again in {folder}; {sum(case.collects for case in cases)} of their datasets are collected, too")
         _collect(cases, workers)
-        made = _train(cases, folder, workers)
+        made = _train(cases, folder / _MADE, workers)
         results = {case.path: _result(case, made[case.path]) for case in cases}
         for case in cases:
             if not results[case.path].differences and case.record.submission is not None:
                 _mark(case)
         if not keep and not any(result.differences for result in results.values()):
-            shutil.rmtree(folder)
+            _clear(folder)
+    if not (folder / _STAMP).exists():
+        with suppress(OSError):
+            folder.rmdir()  # unless somebody has put something into it
     return [results[path] for path in paths]
 
 
@@ -144,9 +150,7 @@ def _case(path: Path, record: Record, folder: Path, collect: bool, reward: str |
     """
     data = record.dataset
     named = None if data.reward is None else data.reward.reference
-    if named != reward:
-        if named is None:
-            raise UsageError(f"{path}: its dataset is labelled for {data.task}, not by {reward}; leave out --reward.")
+    if named is not None and named != reward:
         raise UsageError(f"{path}: its dataset is labelled by the function {named}; to run it here, give --reward {named}.")
     if not collect and _is_here(record):
         return _Case(path, record, False, data.id, None)
@@ -185,12 +189,13 @@ def _how(made_on: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _check_own_folder(folder: Path) -> None:
-    if folder.exists() and any(folder.iterdir()) and not (folder / _STAMP).exists():
+    # Of a process that was killed at once there may be a lock and nothing else.
+    if folder.exists() and any(one.name != _LOCK for one in folder.iterdir()) and not (folder / _STAMP).exists():
         raise UsageError(f"'{folder}' holds other things; name a folder with --scratch that is empty or not there yet.")
 
 
 def _begin(folder: Path, cases: Sequence[_Case]) -> None:
-    """Clear the folder unless what it holds was made by this very code: it would stand for a run that never was."""
+    """Remove what was made there unless it was by this very code: it would stand for a run that never was."""
     packages: dict[str, str] = {}
     for case in cases:
         packages |= plugins.package("collectors", case.record.dataset.method) if case.collects else {}
@@ -200,12 +205,17 @@ def _begin(folder: Path, cases: Sequence[_Case]) -> None:
     try:
         if stamp.exists() and read_limited(stamp).decode() == made_by:
             return
-        for one in folder.iterdir():
-            if one.is_dir():
-                shutil.rmtree(one)
+        _clear(folder)
         write_atomically(stamp, made_by)
     except OSError as error:
         raise unwritable(f"the folder {folder}", error) from None
+
+
+def _clear(folder: Path) -> None:
+    """Remove what was made in the scratch folder, and the stamp last: without it the folder is not ours."""
+    if (folder / _MADE).exists():
+        shutil.rmtree(folder / _MADE)
+    (folder / _STAMP).unlink(missing_ok=True)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- the work

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from cudc_bench.artefacts.records import Record
@@ -57,7 +57,7 @@ def submitted_columns(records: Iterable[Record]) -> tuple[Submitted, ...]:
     return tuple(Submitted(name, len(reran), sum(reran)) for name, reran in sorted(found.items()))
 
 
-def submitted_caption(columns: Iterable[Submitted]) -> str:
+def submitted_caption(columns: Sequence[Submitted]) -> str:
     """What a caption says of columns that were handed in; empty if none was."""
     claimed = [one.name if one.reran == 0 else f"{one.name} (but for {one.reran} of {one.runs} runs)"
                for one in columns if one.reran < one.runs]  # fmt: skip

@@ -190,7 +190,7 @@ def test_nobodys_folder_and_nobodys_code(record: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="there is no record in"):
         rerun("empty")
-    with pytest.raises(UsageError, match="labelled for walk, not by mine:reward"):
+    with pytest.raises(UsageError, match="no dataset of these records is labelled by mine:reward"):
         rerun(record, reward="mine:reward")
     own = change(record, dataset__reward={"reference": "mine:reward", "sha256": "0" * 64})
     with pytest.raises(UsageError, match="to run it here, give --reward mine:reward"):
@@ -198,6 +198,20 @@ def test_nobodys_folder_and_nobodys_code(record: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="was imported from ExORL, and no command can collect it"):
         rerun(change(record, dataset__source="ExORL", dataset__profile="imported", dataset__overrides={}))
     assert not (tmp_path / "rerun").exists()
+
+
+def test_nothing_but_what_was_made_is_ever_removed(record: Path, made_once: Path, datasets: Path, tmp_path: Path) -> None:
+    shutil.copytree(made_once / "datasets", datasets)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "rerun.lock").write_text("")  # of a process that was killed at once
+    rerun(record, scratch="mine", keep=True)
+    note, folder = tmp_path / "mine" / "note.txt", tmp_path / "mine" / "notes"
+    note.write_text("mine")
+    folder.mkdir()
+    stamp = tmp_path / "mine" / "rerun.json"
+    stamp.write_text(stamp.read_text().replace("source", "sauce"))  # of other code, so that what was made goes first
+    rerun(record, scratch="mine")
+    assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == ["note.txt", "notes"]
 
 
 def test_what_other_code_made_is_made_again(record: Path, made_once: Path, datasets: Path, tmp_path: Path) -> None:
