@@ -172,14 +172,14 @@ def machine(device: str, threads: int, engine: str | None = None) -> dict[str, A
 
 
 @cache
-def source() -> str:
-    """A hash of this package's own source files, which tells apart what no commit does: local changes."""
+def source(endings: frozenset[str] = frozenset({".py", ".json"})) -> str:
+    """A hash of this package's own files, by the endings of their names, which tells apart what no commit does: local changes."""
     spec = find_spec("cudc_bench")
     folders = [Path(place) for place in (spec.submodule_search_locations if spec else None) or ()]
     for stage in ("collectors", "relabelers", "evaluators", "leaderboard"):
         inner = find_spec(f"cudc_bench.{stage}")
         folders += [Path(place) for place in (inner.submodule_search_locations if inner else None) or ()]
     found = hashlib.sha256()
-    for path in sorted({path for folder in folders for path in folder.rglob("*.py")}):
+    for path in sorted({path for folder in folders for path in folder.rglob("*") if path.suffix in endings}):
         found.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     return found.hexdigest()

@@ -20,13 +20,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import cudc_bench
+from cudc_bench.artefacts.provenance import source
 from cudc_bench.execution.parallel import computed
 from cudc_bench.files import read_limited, remove_empty_above, unwritable, write_atomically
 
 from .files import write_files
 
 LEDGER = ".ledger.json"
+_KINDS = frozenset({".py", ".j2", ".csv", ".css", ".js", ".webp"})  # of this package's files that decide what is written
 _MOST = 1 << 28  # bytes of a file that is written here; the ledger of ten thousand records has a tenth
 _LIBRARIES = ("jinja2", "matplotlib", "numpy", "pandas", "scipy")
 Contents = Mapping[str, str | bytes]
@@ -127,14 +128,11 @@ def _bring(output: Path, parts: Sequence[Target], ledger: Mapping[str, Any]) -> 
 @cache
 def _source() -> str:
     """A hash of all that decides what files look like but is no input: this package, and the libraries that it draws with."""
-    folders = sorted({Path(cudc_bench.__file__).parent, Path(__file__).parents[1]})
-    kinds = {".py", ".j2", ".csv", ".css", ".js", ".webp"}
-    files = sorted({path for folder in folders for path in folder.rglob("*") if path.suffix in kinds})
     versions = []
     for library in _LIBRARIES:
         with suppress(PackageNotFoundError):
             versions.append(f"{library} {version(library)}")
-    return digest([*versions, *(f"{path.name} {_sum(path)}" for path in files)])
+    return digest([*versions, source(_KINDS)])
 
 
 def _hash(content: str | bytes) -> str:
