@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,39 @@ def visible(text: str) -> str:
 def shortened(text: str) -> str:
     """A text without its middle, where that is so long that it would bury the rest; a value that was given can have megabytes."""
     return text if len(text) <= _HEAD + _TAIL else f"{text[:_HEAD]} … {text[-_TAIL:]}"
+
+
+def width_of(text: str) -> int:
+    """How many columns of a terminal a line takes."""
+    from rich.cells import cell_len
+
+    return cell_len(text)
+
+
+def short_names(names: Sequence[str], most: int) -> dict[str, str]:
+    """Names of at most so many letters, the longer ones without their middle; no two are the same.
+
+    Args:
+        names: of any length.
+        most: letters of each, at least 5; more where names would else look the same.
+
+    Returns:
+        What stands for each name.
+    """
+    found: dict[str, str] = {}
+    for name in dict.fromkeys(names):
+        taken = {*found.values(), *(other for other in names if other != name)}
+        found[name] = name if width_of(name) <= most else next(one for one in _shorter(name, most) if one not in taken)
+    return found
+
+
+def _shorter(name: str, most: int) -> Iterator[str]:
+    """Ways to leave out the middle of a name, the nicest first."""
+    for size in range(most - 1, len(name)):
+        middle = (size + 1) // 2
+        for head in sorted(range(1, size), key=lambda head: abs(head - middle)):
+            yield f"{name[:head]}…{name[len(name) - (size - head) :]}"
+    yield name
 
 
 def size(count: float) -> str:

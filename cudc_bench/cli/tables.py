@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from cudc_bench.text import visible
+from cudc_bench.text import short_names, visible, width_of
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -105,39 +105,6 @@ def row(*texts: str) -> Row:
     return Row(tuple(map(Cell, texts)))
 
 
-def width_of(text: str) -> int:
-    """How many columns of a terminal a line takes."""
-    from rich.cells import cell_len
-
-    return cell_len(text)
-
-
-def shorten(names: Sequence[str], most: int) -> dict[str, str]:
-    """Names of at most so many letters, the longer ones without their middle; no two are the same.
-
-    Args:
-        names: of any length.
-        most: letters of each, at least 5; more where names would else look the same.
-
-    Returns:
-        What stands for each name.
-    """
-    found: dict[str, str] = {}
-    for name in dict.fromkeys(names):
-        taken = {*found.values(), *(other for other in names if other != name)}
-        found[name] = name if width_of(name) <= most else next(one for one in _shorter(name, most) if one not in taken)
-    return found
-
-
-def _shorter(name: str, most: int) -> Iterator[str]:
-    """Ways to leave out the middle of a name, the nicest first."""
-    for size in range(most - 1, len(name)):
-        middle = (size + 1) // 2
-        for head in sorted(range(1, size), key=lambda head: abs(head - middle)):
-            yield f"{name[:head]}…{name[len(name) - (size - head) :]}"
-    yield name
-
-
 def _laid_out(table: Table, width: int) -> Iterator[Text]:
     if _width(table) <= width:
         yield from _drawn(table, _widths(table))
@@ -204,7 +171,7 @@ def _shortened(table: Table, width: int) -> tuple[Table, dict[str, str]]:
     most = max(SHORT, width // 5)
     heads = [column.name for column in table.columns if column.named]
     firsts = [one.cells[0].text for one in table.rows if one.cells] if table.shortens else []
-    short = shorten([*heads, *firsts], most)
+    short = short_names([*heads, *firsts], most)
     rows = table.rows
     if table.shortens:
         rows = tuple(replace(one, cells=(replace(one.cells[0], text=short[one.cells[0].text]), *one.cells[1:])) if one.cells else one

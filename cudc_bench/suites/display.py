@@ -10,6 +10,7 @@ from datetime import timedelta
 from typing import TYPE_CHECKING
 
 from cudc_bench.execution.progress import console, draws_bars, echo, warn
+from cudc_bench.text import short_names
 
 from .jobs import Job
 from .queue import Queue
@@ -17,9 +18,13 @@ from .queue import Queue
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
+    from rich.table import Table
 
 _REFRESH = 0.5  # seconds
 _LINE_EVERY = 60.0
+_BAR, _LEAST_BAR = 20, 6  # letters
+_MARGINS = 8  # letters between five columns
+_LEAST = 16  # letters of a name
 
 
 @dataclass
@@ -120,20 +125,35 @@ class Display:
         return f"{done}, {len(queue.running)} running, {len(queue.waiting)} waiting; about {duration(left)} left"
 
     def _table(self, running: Mapping[Job, Running]) -> Group:
-        from rich import box
         from rich.console import Group
-        from rich.progress_bar import ProgressBar
-        from rich.table import Table
         from rich.text import Text
 
-        table = Table(box=box.SIMPLE_HEAD)
-        for column in ("job", "", "", "passed", "left"):
-            table.add_column(column, no_wrap=True, overflow="ellipsis")
-        for job, one in running.items():
-            share = f"{one.done / one.total:.0%}" if one.total else "–"
-            bar = ProgressBar(total=one.total or 1, completed=one.done, width=20)
-            table.add_row(Text(job.name), bar, share, duration(time.monotonic() - one.started), duration(one.left))
-        return Group(table, Text(self.summary(running)))
+        return Group(running_jobs(running, console().width), Text(self.summary(running)))
+
+
+def running_jobs(running: Mapping[Job, Running], width: int) -> Table:
+    """A line for each job: its name, how far it is, and for how long; names that are too long lose their middle.
+
+    Args:
+        running: the jobs.
+        width: letters of a line of the terminal.
+    """
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for column in ("job", "", "", "passed", "left"):
+        table.add_column(column, no_wrap=True)
+    times = {job: (duration(time.monotonic() - one.started), duration(one.left)) for job, one in running.items()}
+    room = width - _MARGINS - len("100%") - sum(max(map(len, (*column, "passed"))) for column in zip(*times.values(), strict=True))
+    size = min(_BAR, max(_LEAST_BAR, room - _LEAST))
+    names = short_names([job.name for job in running], max(_LEAST, room - size))
+    for job, one in running.items():
+        share = f"{one.done / one.total:.0%}" if one.total else "–"
+        bar = ProgressBar(total=one.total or 1, completed=one.done, width=size)
+        table.add_row(Text(names[job.name]), bar, share, *times[job])
+    return table
 
 
 def duration(seconds: float) -> str:

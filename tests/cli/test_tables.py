@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cudc_bench.cli.tables import SHORT, Cell, Column, Row, Table, row, shorten, width_of
+from cudc_bench.cli.tables import SHORT, Cell, Column, Row, Table, row
+from cudc_bench.text import short_names, width_of
 
 
 def shown(table: Table, width: int) -> str:
@@ -25,7 +26,7 @@ some_names = st.lists(st.text(st.sampled_from("abc-"), min_size=1, max_size=40),
 
 @given(some_names, st.integers(5, 40))
 def test_short_names_are_short_and_different(given_names: list[str], most: int) -> None:
-    short = shorten(given_names, most)
+    short = short_names(given_names, most)
     assert list(short) == given_names
     assert len(set(short.values())) == len(given_names)
     for name, one in short.items():
@@ -119,4 +120,4 @@ def test_nothing_in_a_cell_drives_a_terminal(width: int) -> None:
 
 
 def test_shortened_names_keep_enough_to_be_known() -> None:
-    assert shorten(["cudc-vary-icm-and-more"], SHORT) == {"cudc-vary-icm-and-more": "cudc-va…d-more"}
+    assert short_names(["cudc-vary-icm-and-more"], SHORT) == {"cudc-vary-icm-and-more": "cudc-va…d-more"}

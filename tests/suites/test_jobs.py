@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+import time
 from collections import Counter
+from io import StringIO
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from cudc_bench.errors import UsageError
 from cudc_bench.suites.definition import Suite, SuiteStudy, load_suite, narrow, suite_names
+from cudc_bench.suites.display import Running, running_jobs
 from cudc_bench.suites.estimate import Estimates, Rates, from_table
 from cudc_bench.suites.jobs import Job, JobGraph, expand
 from cudc_bench.suites.queue import Queue
@@ -273,3 +277,18 @@ def test_the_table_of_the_package_has_the_small_profiles() -> None:
             assert 0 < (rates.of("collect", domain, "cudc") or 0) < 0.01
             assert 0 < (rates.of("evaluate", domain, "td3") or 0) < 0.1
     assert from_table("cpu", "cuda").of("collect", "walker", "cudc") is None
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_the_table_of_running_jobs_names_each_of_them(width: int) -> None:
+    jobs = [job for job in plan("variants").needs if job.kind == "evaluate"][:12]
+    running = {job: Running(job, time.monotonic() - 3700, 9000, done=index, total=12) for index, job in enumerate(jobs)}
+    screen = Console(file=StringIO(), width=width, force_terminal=True, color_system=None)
+    screen.print(running_jobs(running, width))
+    assert isinstance(screen.file, StringIO)
+    lines = screen.file.getvalue().splitlines()
+    assert all(len(line) <= width for line in lines)
+    rows = [line for line in lines if "%" in line]
+    assert len({line.split("━")[0] for line in rows}) == len(jobs)
+    for line in rows:
+        assert re.search(r" \d+% +1:01:4\d +\d+:\d\d:\d\d", line), line
