@@ -1,0 +1,109 @@
+"""FB: forward-backward representations of the successor measures of all policies (Touati and Ollivier 2021; Touati et al. 2023)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from cudc_bench.learning.networks import Activation, MemberRandom, frozen, make_target, soft_update
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import NonNegativeFloat, PositiveInt
+
+from .zero_shot import (
+    ConditionedActor,
+    ForwardMap,
+    Labelled,
+    ZeroShotConfig,
+    ZeroShotLearner,
+    features,
+    normalised,
+    off_diagonal,
+    on_diagonal,
+    orthonormality,
+)
+
+
+@dataclass(frozen=True)
+class FBConfig(ZeroShotConfig):
+    """The values of controllable_agent, Touati et al.'s code for ExORL's data.
+
+    Attributes:
+        backward_width: of the hidden layers of B.
+        ortho: weight of B's orthonormality.
+        shared_embeddings: whether both forward maps have their embeddings in common.
+    """
+
+    backward_width: PositiveInt = 526
+    ortho: NonNegativeFloat = 1.0
+    shared_embeddings: bool = True
+
+
+class FB(ZeroShotLearner):
+    """F(s, z, a)ᵀ B(s') is the successor measure of π(·, z), which maximises F(s, z, a)ᵀ z.
+
+    As in controllable_agent: the smaller of two forward maps in targets and for the actor, B normalised, z of states of the minibatch for
+    half of it. arXiv 2209.14935, section 4 and appendix.
+    """
+
+    config_class: ClassVar[type] = FBConfig
+    citation = "Touati and Ollivier 2021; Touati et al. 2023"
+    paper = "https://arxiv.org/abs/2209.14935"
+    summary = "forward-backward representations, as in controllable_agent"
+    rule = "normalised mean of r B(s')"
+
+    def build(self, random: MemberRandom) -> None:
+        config, s, a = self.config, self.observation, self.action
+
+        def forward_map() -> ForwardMap:
+            return ForwardMap(random, s, config.z_dim, a, config.z_dim, config.width, config.shared_embeddings)
+
+        def backward_map() -> nn.Module:
+            return nn.Sequential(features(random, s, config.backward_width, config.z_dim), Activation(normalised))
+
+        self.actor = ConditionedActor(random, s, config.z_dim, a, config.width)
+        self.forward_map, self.backward_map = forward_map(), backward_map()
+        self.target_forward = make_target(self.forward_map, forward_map())
+        self.target_backward = make_target(self.backward_map, backward_map())
+        self.add_optimiser("maps", [self.forward_map, self.backward_map], config.learning_rate)
+        self.add_optimiser("actor", [self.actor], config.learning_rate)
+
+    def infer(self, labelled: Labelled) -> Tensor:
+        with torch.no_grad():
+            return normalised(torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1])
+
+    def embedded(self, batch: Batch) -> Tensor:
+        embedded: Tensor = self.backward_map(batch.observation)
+        return embedded
+
+    def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
+        config, following = self.config, batch.next_observation
+        z = self.task_vectors(batch)
+        with torch.no_grad():
+            later = self.target_forward(following, z, self.sample(following, z))
+            target = _measures(later, self.target_backward(following)).amin(1)
+        ahead, back = self.forward_map(batch.observation, z, batch.action), self.backward_map(following)
+        measures = _measures(ahead, back)
+        fb_loss = (0.5 * off_diagonal((measures - config.discount * target[:, None]).square()) - on_diagonal(measures)).sum(1)
+        ortho_loss = 2.0 * orthonormality(back)
+        self.minimise("maps", fb_loss + config.ortho * ortho_loss)
+
+        with frozen(self.forward_map):
+            values = (self.forward_map(batch.observation, z, self.sample(batch.observation, z)) * z[:, None]).sum(-1).amin(1)
+            actor_loss = -values.mean(1)
+            self.minimise("actor", actor_loss)
+        soft_update(self.forward_map, self.target_forward, config.target_tau)
+        soft_update(self.backward_map, self.target_backward, config.target_tau)
+        if not batch.measure:
+            return {}
+        return {
+            "fb_loss": fb_loss.detach(), "ortho_loss": ortho_loss.detach(), "actor_loss": actor_loss.detach(),
+            "measure": on_diagonal(measures.detach()).mean(1), "q": values.detach().mean(1),
+        }  # fmt: skip
+
+
+def _measures(ahead: Tensor, back: Tensor) -> Tensor:
+    """F_k(s_i, z_i, a_i)ᵀ B(s'_j) of both maps (E, 2, B, d) and (E, B, d), (E, 2, B, B)."""
+    return torch.matmul(ahead, back[:, None].transpose(2, 3))

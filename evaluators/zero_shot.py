@@ -1,0 +1,252 @@
+"""Learners that train without rewards, and turn rewards into a policy afterwards: what they have in common.
+
+One training on a task-agnostic dataset serves every task of its domain, and rewards that somebody writes later. A task is a vector z, which
+:meth:`ZeroShotLearner.infer` makes of a few labelled transitions; :meth:`ZeroShotLearner.policy_for` is the policy that pursues it.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from cudc_bench.learning.networks import Activation, Ensemble, Linear, MemberRandom, mlp, noisy_action, trunk
+from cudc_bench.learning.replay import Batch
+from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
+
+from .actor_critic import OfflineLearner
+
+
+@dataclass(frozen=True)
+class ZeroShotConfig(Config):
+    """The values that zero-shot learners on ExORL's data have in common (Touati et al. 2023).
+
+    Attributes:
+        batch_size: transitions of a minibatch.
+        width: of the hidden layers; embeddings have half of it.
+        learning_rate: of every Adam optimiser, unless there is one of its own.
+        discount: γ.
+        target_tau: rate at which slow copies follow.
+        z_dim: d, the size of the vector that stands for a task.
+        z_mix: share of a minibatch's z that are embeddings of states of the data; the others are uniform on the sphere.
+        noise_std: of the policy around its mean, in training.
+        noise_clip: bound of that noise.
+    """
+
+    batch_size: PositiveInt = 1024
+    width: PositiveInt = 1024
+    learning_rate: PositiveFloat = 1e-4
+    discount: UnitInterval = 0.98
+    target_tau: UnitInterval = 0.01
+    z_dim: PositiveInt = 50
+    z_mix: UnitInterval = 0.5
+    noise_std: NonNegativeFloat = 0.2
+    noise_clip: NonNegativeFloat = 0.3
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """Transitions with their rewards in K tasks, from which tasks are inferred.
+
+    Attributes:
+        observation: s (E, m, S).
+        action: a (E, m, A).
+        next_observation: s' (E, m, S).
+        reward: of s' (E, K, m).
+    """
+
+    observation: Tensor
+    action: Tensor
+    next_observation: Tensor
+    reward: Tensor
+
+
+class ZeroShotLearner(OfflineLearner):
+    """Networks that know no reward, and a policy π(s, z).
+
+    Class attributes, beside those of every evaluator:
+        rule: how z follows from labelled transitions, in a few words, for records.
+        wants_future: whether batches must hold a later state of the same episode and any state of the data
+            (``Batch.future_observation``, ``Batch.other_observation``).
+    """
+
+    rule: ClassVar[str]
+    wants_future: ClassVar[bool] = False
+
+    actor: nn.Module
+
+    @abstractmethod
+    def infer(self, labelled: Labelled) -> Tensor:
+        """The vector z of each task (E, K, d), of length √d; zero where all rewards are."""
+
+    @abstractmethod
+    def embedded(self, batch: Batch) -> Tensor:
+        """The z of tasks that ask for states of a minibatch (E, B, d); they take no gradient."""
+
+    # What follows from these
+
+    @property
+    def policy(self) -> nn.Module:
+        """That of the zero vector, whose form that of every task has."""
+        return self.policy_for(torch.zeros(len(self.seeds), self.config.z_dim, device=self.device))
+
+    def policy_for(self, z: Tensor) -> Conditioned:
+        """The policies of a task vector for each member (E, d)."""
+        return Conditioned(self.actor, z)
+
+    @torch.no_grad()
+    def act_for(self, observation: Tensor, z: Tensor) -> Tensor:
+        """Deterministic actions (E, n, A) in [-1, 1] for observations (E, n, S), each with a task vector (E, n, d)."""
+        actions: Tensor = self.actor(observation, z)
+        return actions
+
+    def task_vectors(self, batch: Batch) -> Tensor:
+        """z (E, B, d): uniform on the sphere, and a share of them those of states of the minibatch in another order."""
+        noise, (_, size, _) = self.random["noise"], batch.observation.shape
+        uniform = normalised(noise.normal(size, self.config.z_dim))
+        draws = noise.uniform(2, size)
+        order = draws[:, 0].argsort(1)
+        with torch.no_grad():
+            embedded = self.embedded(batch)
+        embedded = embedded.gather(1, order[..., None].expand_as(embedded))
+        return torch.where((draws[:, 1] < self.config.z_mix)[..., None], embedded, uniform)
+
+    def sample(self, observation: Tensor, z: Tensor, network: nn.Module | None = None) -> Tensor:
+        """Actions of the stochastic policy for (E, B, S) and (E, B, d), with gradient."""
+        mean = (network or self.actor)(observation, z)
+        noise = self.random["noise"].normal(*mean.shape[1:])
+        return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
+
+
+class Conditioned(nn.Module):
+    """π(·, z) with z held fast, whose parameters and buffers have the member axis first.
+
+    Args:
+        network: the actor, (E, n, S) and (E, n, d) -> (E, n, A).
+        z: of each member (E, d).
+    """
+
+    z: Tensor
+
+    def __init__(self, network: nn.Module, z: Tensor) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("z", z[:, None].clone())
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(E, n, S) -> (E, n, A)."""
+        actions: Tensor = self.network(observation, self.z.expand(-1, observation.shape[1], -1))
+        return actions
+
+
+class ConditionedActor(nn.Module):
+    """The policy's mean from an embedding of s and one of (s, z): controllable_agent's ``Actor`` (Touati et al. 2023), in (-1, 1).
+
+    Args:
+        random: the members' streams for initial weights.
+        observation, z_dim, action: sizes of s, z and a.
+        width: of the hidden layers.
+    """
+
+    def __init__(self, random: MemberRandom, observation: int, z_dim: int, action: int, width: int) -> None:
+        super().__init__()
+        self.of_state = embedding(random, observation, width)
+        self.of_both = embedding(random, observation + z_dim, width)
+        self.head = mlp(random, 2 * (width // 2), width, action, output=torch.tanh)
+
+    def forward(self, observation: Tensor, z: Tensor) -> Tensor:
+        """(E, B, S), (E, B, d) -> (E, B, A)."""
+        both = torch.cat([self.of_state(observation), self.of_both(torch.cat([observation, z], -1))], -1)
+        actions: Tensor = self.head(both)
+        return actions
+
+
+class ForwardMap(nn.Module):
+    """Two estimates of a vector at (s, z, a) that look ahead: controllable_agent's ``ForwardMap`` (Touati et al. 2023).
+
+    Args:
+        random: the members' streams for initial weights.
+        observation, z_dim, action: sizes of s, z and a.
+        outputs: size of the vector.
+        width: of the hidden layers.
+        shared: whether the two have their embeddings in common.
+    """
+
+    def __init__(
+        self, random: MemberRandom, observation: int, z_dim: int, action: int, outputs: int, width: int, shared: bool = True
+    ) -> None:
+        super().__init__()
+        self.shared = shared
+
+        def head(streams: MemberRandom) -> nn.Module:
+            return mlp(streams, 2 * (width // 2), width, outputs)
+
+        if shared:
+            self.embeddings = _Embeddings(random, observation, z_dim, action, width)
+            self.heads = Ensemble(random, 2, head)
+        else:
+            self.heads = Ensemble(
+                random, 2, lambda streams: nn.Sequential(_Embeddings(streams, observation, z_dim, action, width), head(streams))
+            )
+
+    def forward(self, observation: Tensor, z: Tensor, action: Tensor) -> Tensor:
+        """(E, B, S), (E, B, d), (E, B, A) -> (E, 2, B, outputs)."""
+        x = torch.cat([action, observation, z], -1)
+        vectors: Tensor = self.heads(self.embeddings(x) if self.shared else x)
+        return vectors
+
+
+class _Embeddings(nn.Module):
+    """Of (s, a) and of (s, z), side by side; what comes in is (a, s, z)."""
+
+    def __init__(self, random: MemberRandom, observation: int, z_dim: int, action: int, width: int) -> None:
+        super().__init__()
+        self.action, self.observation = action, observation
+        self.of_action = embedding(random, action + observation, width)
+        self.of_task = embedding(random, observation + z_dim, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(E, B, A + S + d) -> (E, B, width)."""
+        return torch.cat([self.of_action(x[..., : self.action + self.observation]), self.of_task(x[..., self.action :])], -1)
+
+
+def embedding(random: MemberRandom, inputs: int, width: int) -> nn.Sequential:
+    """Linear, LayerNorm, tanh, linear to half the width, ReLU."""
+    return nn.Sequential(trunk(random, inputs, width), Linear(random, width, width // 2), Activation(torch.relu_))
+
+
+def features(random: MemberRandom, inputs: int, width: int, outputs: int) -> nn.Sequential:
+    """Linear, LayerNorm, tanh, linear, ReLU, linear: what embeds states."""
+    return nn.Sequential(trunk(random, inputs, width), *mlp(random, width, width, outputs))
+
+
+def normalised(vectors: Tensor) -> Tensor:
+    """Vectors (…, d) scaled to the length √d; zero stays zero."""
+    return vectors * (math.sqrt(vectors.shape[-1]) / vectors.norm(dim=-1, keepdim=True).clamp_min(1e-12))
+
+
+def off_diagonal(matrices: Tensor) -> Tensor:
+    """The mean of what is not on the diagonal of (…, B, B), (…)."""
+    size = matrices.shape[-1]
+    return (matrices.sum((-2, -1)) - on_diagonal(matrices) * size) / (size * (size - 1))
+
+
+def on_diagonal(matrices: Tensor) -> Tensor:
+    """The mean of the diagonal of (…, B, B), (…)."""
+    return matrices.diagonal(dim1=-2, dim2=-1).mean(-1)
+
+
+def orthonormality(vectors: Tensor) -> Tensor:
+    """½ off[C²] − diag(C) of C = v vᵀ for (E, B, d), (E,): least where the vectors' second moment is the identity."""
+    products = torch.bmm(vectors, vectors.transpose(1, 2))
+    return 0.5 * off_diagonal(products.square()) - on_diagonal(products)
+
+
+def least_squares(vectors: Tensor, reward: Tensor) -> Tensor:
+    """The weights (E, K, d) that bring vectors (E, m, d) nearest to rewards (E, K, m), without an intercept; or the shortest of them."""
+    weights: Tensor = torch.linalg.lstsq(vectors.double(), reward.double().transpose(1, 2), driver="gelsd").solution
+    return weights.transpose(1, 2).to(vectors.dtype)
