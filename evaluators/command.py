@@ -59,6 +59,14 @@ def evaluate(
         str | None, typer.Option("--dataset-size", help="Only the first so many transitions; several by commas.")
     ] = None,
     reward: RewardOption = None,
+    labels: Annotated[
+        str | None,
+        typer.Option("--labels", help="Transitions whose rewards learners without rewards are told, 10000 by default; several by commas."),
+    ] = None,
+    labels_from: Annotated[
+        str | None,
+        typer.Option("--labels-from", help="Draw these from another dataset than the one trained on.", autocompletion=completion.datasets),
+    ] = None,
     output: OutputOption = "results",
     overwrite: OverwriteOption = False,
     device: DeviceOption = "auto",
@@ -82,7 +90,8 @@ def evaluate(
         parse_names(algo), domain, parse_tasks(tasks), parse_names(method), parse_seeds(seeds), profile=profile,
         settings=given, training_seeds=None if training_seeds is None else parse_seeds(training_seeds, "--training-seeds"), steps=steps,
         dataset_id=None if dataset_id is None else parse_names(dataset_id),
-        dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward, output=output, overwrite=overwrite,
+        dataset_sizes=None if dataset_size is None else parse_sizes(dataset_size), reward=reward,
+        labels=None if labels is None else parse_sizes(labels, "--labels"), labels_from=labels_from, output=output, overwrite=overwrite,
         device=device, engine=engine, workers=workers, log=log, log_dir=log_dir, policies=policy,
         checkpoint_every=checkpoint_every, fresh=fresh,
     )  # fmt: skip

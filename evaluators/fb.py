@@ -72,7 +72,7 @@ class FB(ZeroShotLearner):
 
     def infer(self, labelled: Labelled) -> Tensor:
         with torch.no_grad():
-            return normalised(torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1])
+            return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
 
     def embedded(self, batch: Batch) -> Tensor:
         embedded: Tensor = self.backward_map(batch.observation)

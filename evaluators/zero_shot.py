@@ -81,7 +81,10 @@ class ZeroShotLearner(OfflineLearner):
 
     @abstractmethod
     def infer(self, labelled: Labelled) -> Tensor:
-        """The vector z of each task (E, K, d), of length √d; zero where all rewards are."""
+        """A vector for each task (E, K, d), whose direction is that of its z; zero where all rewards are.
+
+        Each task's follows from its own rewards.
+        """
 
     @abstractmethod
     def embedded(self, batch: Batch) -> Tensor:

@@ -24,6 +24,7 @@ from pydantic import (
     model_validator,
 )
 
+from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import RewardFunction, Source
 from cudc_bench.errors import RunError
 from cudc_bench.files import LeftOut, read_limited, unwritable, walk, write_atomically
@@ -33,6 +34,7 @@ SCHEMA_VERSION = 1
 REFERENCE = "reference.json"  # the one file among records that is none, see ``cudc_bench.artefacts.references``
 CHECKPOINTS = ".checkpoints"  # the folder among records of what is kept of trainings that are not done
 SUITE_FOLDER = ".suite"  # the same of what a suite keeps: its lock, and a note of each dataset that it made
+LABELS = 10_000  # transitions that a learner without rewards is told the rewards of, unless it is asked otherwise
 # The most that a record of any run has reason to hold; more of them would take whoever reads it minutes.
 MOST_EVALUATIONS, MOST_SETTINGS = 10_000, 1_000
 Settings = Annotated[dict[str, Any], Field(max_length=MOST_SETTINGS)]
@@ -98,6 +100,49 @@ class DatasetReference(Strict):
     @model_serializer(mode="wrap")
     def _without_collection(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return _without(serialise(self), "collection")
+
+
+class LabelSource(Strict):
+    """The dataset that labelled transitions were drawn from, where it is another than the one that was trained on.
+
+    Attributes:
+        id, fingerprint: which.
+    """
+
+    id: str
+    fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class ZeroShot(Strict):
+    """What a learner that trains without rewards was told of its task, after the training that all its tasks share.
+
+    Attributes:
+        labels: transitions whose rewards it may see: so many, or all that there are.
+        drawn: how many it saw.
+        source: where they are from, if not from what was trained on.
+        rule: how the task's vector z follows from them.
+        norm: ‖z‖ before it was scaled; 0 where no reward was seen, so that nothing could follow.
+        rewarded: share of the labels that are not zero.
+        training: the same for all records of one training, and for no others.
+        records: how many these are.
+        training_seconds: wall time of that training with all its evaluations.
+    """
+
+    labels: Annotated[int, Field(ge=1)]
+    drawn: Annotated[int, Field(ge=1)]
+    source: LabelSource | None = None
+    rule: Annotated[str, Field(max_length=200)]
+    norm: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    rewarded: Annotated[float, Field(ge=0, le=1)]
+    training: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    records: Annotated[int, Field(ge=1)]
+    training_seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+    @property
+    def changes(self) -> list[str]:
+        """What keeps its record from tables of those with the usual labels."""
+        usual = [] if self.labels == LABELS else [f"{self.labels:,} labels"]
+        return usual if self.source is None else [*usual, f"labels of {self.source.id} {self.source.fingerprint[:8]}"]
 
 
 class Evaluation(Strict):
@@ -200,6 +245,8 @@ class Record(Strict):
         machine: processor, threads, device, engine; ``beside``, how many were trained side by side, if more than one.
         command: makes this record again.
         created: UTC time, ISO 8601.
+        zero_shot: how its task was told to a learner that trains without rewards, whose ``dataset`` is task-agnostic; None for those
+            that train on a labelled one.
         submission: who handed it in, if it was not made here. A file without it has the form that it always had; programs that do not
             know the field refuse the file rather than take somebody's run for their own, so that the version stays.
     """
@@ -224,11 +271,12 @@ class Record(Strict):
     machine: Settings
     command: str
     created: str
+    zero_shot: ZeroShot | None = None
     submission: Submission | None = None
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without(serialise(self), "submission", "late")
+        return _without(serialise(self), "submission", "late", "zero_shot")
 
     @model_validator(mode="after")
     def _ordered(self) -> Record:
@@ -265,10 +313,17 @@ class Record(Strict):
             changes.append(f"reward: {self.dataset.reward.reference} {self.dataset.reward.sha256[:8]}")
         if used is not None:
             changes.append(f"first {used:,} transitions")
+        if self.zero_shot is not None:
+            changes += self.zero_shot.changes
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.settings)):
             if overrides:
                 changes.append(f"{stage}: {settings_text(overrides)}")
         return f"{self.profile} ({'; '.join(changes)})" if changes else self.profile
+
+    @property
+    def labelled_id(self) -> str:
+        """The id of what was trained on with the labels of the task, also where no dataset of that id was needed."""
+        return self.dataset.id if self.zero_shot is None else str(parse_id(self.dataset.id).for_task(self.dataset.task))
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -314,14 +369,23 @@ def settings_text(overrides: Mapping[str, Any]) -> str:
 
 
 def record_path(
-    results: Path, dataset_id: str, algorithm: str, seed: int, profile: str, used: int | None = None, training_seed: int | None = None
+    results: Path,
+    dataset_id: str,
+    algorithm: str,
+    seed: int,
+    profile: str,
+    used: int | None = None,
+    training_seed: int | None = None,
+    labels: int | None = None,
 ) -> Path:
     """Where a record is kept: ``results/<profile>/<dataset id>/<algorithm>-seed<seed>.json``, by the dataset's seed.
 
-    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``, and that of a training with another seed than the
-    dataset's ``<algorithm>-seed<seed>-training<training seed>.json``.
+    That of a part of the dataset is ``<algorithm>-first<used>-seed<seed>.json``, that of another number of labels than the usual
+    ``<algorithm>-labels<labels>-seed<seed>.json``, and that of a training with another seed than the dataset's
+    ``<algorithm>-seed<seed>-training<training seed>.json``.
     """
     part = "" if used is None else f"-first{used}"
+    part += "" if labels in (None, LABELS) else f"-labels{labels}"
     training = "" if training_seed in (None, seed) else f"-training{training_seed}"
     return results.joinpath(profile, *dataset_id.split("/"), f"{algorithm}{part}-seed{seed}{training}.json")
 

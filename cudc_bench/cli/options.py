@@ -92,7 +92,7 @@ def parse_tasks(text: str) -> tuple[str, ...] | None:
     return None if text.strip() == "all" else parse_names(text)
 
 
-def parse_sizes(text: str) -> tuple[int, ...]:
+def parse_sizes(text: str, option: str = "--dataset-size") -> tuple[int, ...]:
     """``"100000, 200_000"`` -> (100000, 200000).
 
     Raises:
@@ -100,5 +100,5 @@ def parse_sizes(text: str) -> tuple[int, ...]:
     """
     parts = parse_names(text)
     if not parts or not all(len(part) < 16 and re.fullmatch(r"[1-9][0-9]*(_[0-9]+)*", part) for part in parts):
-        raise UsageError(f"--dataset-size cannot be '{text}'; give numbers of transitions, such as 100000,200000.")
+        raise UsageError(f"{option} cannot be '{text}'; give numbers of transitions, such as 100000,200000.")
     return tuple(int(part.replace("_", "")) for part in parts)

@@ -25,8 +25,11 @@ from cudc_bench.settings.config import field_names
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 
 from ..base import Evaluator
+from ..zero_shot import ZeroShotLearner
 
 SUFFIX = ".policy.pt"
+LEARNER = ".learner.pt"  # of a zero-shot learner, at the place of its training
+SLOW = "target_"  # what the names of slow copies begin with
 
 
 class Policy(nn.Module):
@@ -81,20 +84,44 @@ def check_record(record: str | Path) -> Path:
     return path
 
 
-def save_policy(agent: Evaluator, member: int, record: Path) -> None:
+def save_policy(policy: nn.Module, member: int, record: Path) -> None:
     """Write one member's policy beside its record.
+
+    Args:
+        policy: of all members, as :attr:`Evaluator.policy` gives it.
+        member: which.
+        record: its path.
 
     Raises:
         RunError: it cannot be written.
     """
-    weights = {name: value[member : member + 1].detach().cpu().clone() for name, value in agent.policy.state_dict().items()}
+    weights = {name: value[member : member + 1] for name, value in policy.state_dict().items()}
+    _write_weights(weights, policy_path(record), "policy")
+
+
+def save_learner(agent: ZeroShotLearner, member: int, place: Path) -> None:
+    """Write what one member of a zero-shot learner needs to be asked for further tasks: its networks, without their slow copies.
+
+    Args:
+        agent: E members.
+        member: which.
+        place: the place of its training (see ``Run.path``).
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    networks = {name: value for name, value in nn.Module.state_dict(agent).items() if not name.startswith(SLOW)}
+    weights = {name: value.chunk(len(agent.seeds))[member] for name, value in networks.items()}
+    _write_weights(weights, place.with_name(place.name.removesuffix(".json") + LEARNER), "learner")
+
+
+def _write_weights(weights: Mapping[str, Tensor], path: Path, what: str) -> None:
     content = io.BytesIO()
-    torch.save(weights, content)
-    path = policy_path(record)
+    torch.save({name: value.detach().cpu().clone() for name, value in weights.items()}, content)
     try:
         write_atomically(path, content.getvalue())
     except OSError as error:
-        raise unwritable(f"the policy {path}", error) from None
+        raise unwritable(f"the {what} {path}", error) from None
 
 
 def load_policy(record: str | Path) -> Policy:

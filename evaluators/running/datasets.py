@@ -12,16 +12,19 @@ from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Episodes
 
 
-def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device | str, used: int | None = None) -> Episodes:
+def load_members(
+    ids: Sequence[str], seeds: Sequence[int], device: torch.device | str, used: int | None = None, labelled: bool = True
+) -> Episodes:
     """The datasets of a stack of members, for sampling one-step transitions.
 
     Members whose datasets differ in their rewards only (the tasks of one collected dataset) share one copy of the rest.
 
     Args:
-        ids: a relabelled dataset for each member.
+        ids: a dataset for each member.
         seeds: of the members' index streams.
         device: where the arrays go.
         used: only the first so many transitions of each dataset; the episode in which they end is cut short.
+        labelled: whether they are read with their rewards.
     """
     sources: dict[tuple[str, str], int] = {}
     flats: list[FlatEpisodes] = []
@@ -33,7 +36,8 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
             sources[key] = len(flats)
             flats.append(load_episodes(one, ("observations", "actions"), verify=True))
         source_of_member.append(sources[key])
-        rewards.append(torch.from_numpy(load_episodes(one, ("rewards",), verify=True).arrays["rewards"]))
+        if labelled:
+            rewards.append(torch.from_numpy(load_episodes(one, ("rewards",), verify=True).arrays["rewards"]))
     steps = used or max(int(flat.lengths.sum()) for flat in flats)
     first = flats[0].arrays
     episodes = Episodes(
@@ -47,6 +51,8 @@ def load_members(ids: Sequence[str], seeds: Sequence[int], device: torch.device 
             if length:
                 episodes.add(source, torch.from_numpy(observations[: length + 1]), torch.from_numpy(actions[:length]))
             left -= length
+    if not labelled:
+        return episodes
     padded = torch.zeros(len(ids), steps, device=device)
     for row, values in zip(padded, rewards, strict=True):
         row[: len(values)] = values[:steps].to(device)

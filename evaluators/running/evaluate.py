@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cudc_bench.artefacts.ids import datasets_root, default_id
-from cudc_bench.artefacts.manifest import exists, read_manifest
-from cudc_bench.artefacts.records import CHECKPOINTS, DatasetReference, record_path, write_record
-from cudc_bench.envs import check_domain, check_tasks
-from cudc_bench.envs.rewards import Measured, load_reward
-from cudc_bench.errors import BrokenDownError, RunError
+from cudc_bench.artefacts.manifest import Manifest, RewardFunction, exists, read_manifest
+from cudc_bench.artefacts.records import CHECKPOINTS, LabelSource, Record, record_path, write_record
+from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
+from cudc_bench.errors import BrokenDownError, RunError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.locks import locked
 from cudc_bench.execution.progress import Advance, echo, warn
@@ -26,11 +27,12 @@ from cudc_bench.settings.profiles import resolve_profile
 from cudc_bench.settings.seeds import check_seeds
 from cudc_bench.stages import Planned, check_reward
 
-from ..policies.stored import save_policy
+from ..policies.stored import save_learner, save_policy
 from .datasets import load_members
-from .loop import Arena, run_evaluation
-from .plans import Wanted, check_plans, check_sizes, make_plans, sizes_of
-from .runs import SIDE_BY_SIDE, Run, Stack, is_recorded, record_of, stackable
+from .labels import Interview, Question, draw_labels
+from .loop import Arena, Outcome, run_evaluation
+from .plans import Plan, Wanted, check_label_source, check_labels, check_plans, check_sizes, make_plans, sizes_of
+from .runs import SIDE_BY_SIDE, Answer, Run, Stack, is_recorded, record_of, stackable
 
 
 @interrupts.leaving_gracefully()  # also between its stages
@@ -48,6 +50,8 @@ def evaluate(
     dataset_id: str | Sequence[str] | None = None,
     dataset_sizes: Sequence[int] | None = None,
     reward: str | Callable[[Measured], Any] | None = None,
+    labels: Sequence[int] | None = None,
+    labels_from: str | None = None,
     output: str | Path = "results",
     overwrite: bool = False,
     device: str = "auto",
@@ -60,6 +64,8 @@ def evaluate(
     fresh: bool = False,
 ) -> list[Path]:
     """Train offline algorithms on relabelled datasets and write one record for each (algorithm, method, seed, task).
+
+    A learner without rewards trains once on each task-agnostic dataset, and there is a record for each task that it is then asked for.
 
     Datasets that are missing are collected and relabelled first. The dataset of collector seed i is trained on with seed i, unless
     ``training_seeds`` say otherwise. A record that exists for the same data and hyperparameters is kept. A run that was interrupted is
@@ -80,6 +86,9 @@ def evaluate(
             their own.
         dataset_sizes: train once for each of these numbers of transitions, on the first so many of each dataset.
         reward: an own reward function instead of tasks, as in :func:`relabel`.
+        labels: how many transitions' rewards learners without rewards are told, to answer for a task; once for each of these numbers,
+            10,000 unless given. Others take no notice.
+        labels_from: a dataset of the same domain that these transitions are drawn from, instead of the one that was trained on.
         output: folder of the records.
         overwrite: train again where a record exists, and label again what was labelled by another text of ``reward``, or from another base.
         device: ``cpu``, ``cuda`` or ``auto``.
@@ -111,21 +120,32 @@ def evaluate(
     sizes = check_sizes(dataset_sizes)
     again = None if training_seeds is None else check_seeds(training_seeds)
     wanted = Wanted.checked(domain, tasks, methods, check_seeds(seeds), dataset_id, reward, profile)
+    budgets = check_labels(labels)
+    if labels_from is not None:
+        check_label_source(labels_from, wanted.domains)
+    if not any(plan.is_zero_shot for plan in plans) and (labels is not None or labels_from is not None):
+        raise UsageError("--labels and --labels-from are for learners without rewards, which none of these is.")
 
-    manifests = {one: read_manifest(one) for one in wanted.ensure(execution.device, workers, overwrite)}
-    for one, manifest in manifests.items():
-        check_reward(manifest, one, wanted.reward)
-    runs = [
-        Run(plan, one, manifest, used, seed, results)
-        for plan in plans
-        for one, manifest in manifests.items()
-        for used in sizes_of(sizes, one, manifest)
-        for seed in again or (manifest.seed,)
-    ]
+    runs: list[Run] = []
+    if rewarded := [plan for plan in plans if not plan.is_zero_shot]:
+        manifests = {one: read_manifest(one) for one in wanted.ensure(execution.device, workers, overwrite)}
+        for one, manifest in manifests.items():
+            check_reward(manifest, one, wanted.reward)
+        runs += _runs(rewarded, manifests, sizes, again, results)
+    if shared := [plan for plan in plans if plan.is_zero_shot]:
+        asked = wanted.ensure_bases(execution.device, workers)
+        source = None if labels_from is None else LabelSource(id=labels_from, fingerprint=read_manifest(labels_from).fingerprint)
+        own = None if wanted.reward is None else RewardFunction(reference=wanted.reward.reference, sha256=wanted.reward.sha256)
+        manifests = {one: read_manifest(one) for one in asked}
+        runs += [
+            replace(run, questions=tuple(Question(task, count, own, source) for task in asked[run.dataset] for count in budgets))
+            for run in _runs(shared, manifests, sizes, again, results)
+        ]
     groups, stack = stackable(runs), partial(Stack, execution)
     left = _left(groups, stack, overwrite)
     work = Work.plan(execution, "evaluate", groups, left, stack, partial(_beside, execution, chosen.threads))
     total = plans[0].loop.gradient_steps
+    reward_reference = None if wanted.reward is None else wanted.reward.reference
     echo(
         f"evaluate {', '.join(plan.algo for plan in plans)} on {', '.join(wanted.domains)}: profile {chosen.name}, {len(runs)} runs of"
         f" {total:,} gradient steps, {execution.device}"
@@ -133,9 +153,20 @@ def evaluate(
     )
     for begun in work.stacks:
         echo_if_slower(begun.plan.loop.precision, begun.plan.config, begun.engine, execution.device)
-    own = None if wanted.reward is None else wanted.reward.reference
-    work.carry_out(evaluate_members, unit="gradient steps", total=total, threads=chosen.threads, reward=own, policies=policies)
-    return [run.path for run in runs]
+    work.carry_out(evaluate_members, unit="gradient steps", total=total, threads=chosen.threads, reward=reward_reference, policies=policies)
+    return [path for run in runs for path in run.paths]
+
+
+def _runs(
+    plans: Sequence[Plan], manifests: Mapping[str, Manifest], sizes: list[int] | None, again: Sequence[int] | None, results: Path
+) -> list[Run]:
+    return [
+        Run(plan, one, manifest, used, seed, results)
+        for plan in plans
+        for one, manifest in manifests.items()
+        for used in sizes_of(sizes, one, manifest)
+        for seed in again or (manifest.seed,)
+    ]
 
 
 def evaluate_members(advance: Advance, *, stack: Stack, execution: Execution, reward: str | None, policies: bool) -> None:
@@ -183,21 +214,56 @@ def _evaluate_members(advance: Advance, stack: Stack, execution: Execution, rewa
             checkpoints.remove()
         agent = plan.kind(facts.observation_size, facts.action_size, plan.config, stack.seeds, device)
         set_engine(agent, stack.engine)
-        data = load_members([run.dataset for run in runs], stack.seeds, device, runs[0].used)
+        data = load_members([run.dataset for run in runs], stack.seeds, device, runs[0].used, labelled=not plan.is_zero_shot)
         if agent.wants_next_action and int(data.lengths[data.lengths > 0].min()) < 2:
             raise RunError(f"{plan.algo} needs episodes of at least two steps, which {runs[0].dataset} does not have throughout.")
-        arena = Arena(facts, [str(run.manifest.task) for run in runs] if reward is None else load_reward(reward, facts))
-        logs = [opened.enter_context(open_log(_target(run, execution))) for run in runs]
+        custom = None if reward is None else load_reward(reward, facts)
+        interview = _interview(agent, runs, facts, custom) if plan.is_zero_shot else None
+        tasks = [one.task for run in runs for one in run.questions] or [str(run.manifest.task) for run in runs]
+        targets = [_target(run, path, execution) for run in runs for path in run.paths]
+        logs = [opened.enter_context(open_log(one)) for one in targets]
         try:
-            outcomes = run_evaluation(agent, data, plan.loop, arena, advance, logs, checkpoints)
+            outcomes = run_evaluation(agent, data, plan.loop, Arena(facts, custom or tasks), advance, logs, checkpoints, interview)
         except BrokenDownError:
             checkpoints.remove()
             raise
-        for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
-            if policies:
-                save_policy(agent, member, run.path)
-            write_record(run.path, record_of(run, outcome, execution, engine_of(agent), checkpoints.seconds, len(runs)))
+        write = partial(record_of, execution=execution, engine=engine_of(agent), seconds=checkpoints.seconds, beside=len(runs))
+        if interview is None:
+            for member, (run, outcome) in enumerate(zip(runs, outcomes, strict=True)):
+                if policies:
+                    save_policy(agent.policy, member, run.path)
+                write_record(run.path, write(run, outcome))
+        else:
+            _write_answers(agent, interview, runs, outcomes, write, policies)
         checkpoints.remove()
+
+
+def _interview(agent: Any, runs: Sequence[Run], facts: Domain, custom: CustomReward | None) -> Interview:
+    """The questions of some runs, which are the same, with their labels."""
+    questions = runs[0].questions
+    most, tasks = max(one.labels for one in questions), list(dict.fromkeys(one.task for one in questions))
+    source = questions[0].source
+    samples = [draw_labels(source.id if source else run.dataset, facts, tasks, most, custom, None if source else run.used) for run in runs]
+    return Interview(agent, samples, questions)
+
+
+def _write_answers(
+    agent: Any, interview: Interview, runs: Sequence[Run], outcomes: Sequence[Outcome], write: Callable[..., Record], policies: bool
+) -> None:
+    """Write the records of zero-shot learners, the policies with their vectors, and what can be asked more."""
+    told = interview.told()
+    for member, run in enumerate(runs):
+        if policies:
+            save_learner(agent, member, run.path)
+        for index, question in enumerate(run.questions):
+            labels = interview.labelled(question)
+            norm, rewards = float(told.norms[member, index]), labels.reward[member]
+            answer = Answer(question, norm, rewards.numel(), float((rewards != 0).double().mean()), agent.rule)
+            if norm == 0.0:
+                warn(f"{run.path_of(question)}: none of the {rewards.numel():,} labels has a reward, so that its policy pursues nothing")
+            if policies:
+                save_policy(agent.policy_for(told.z[:, index]), member, run.path_of(question))
+            write_record(run.path_of(question), write(run, outcomes[member * interview.each + index], answer=answer))
 
 
 def _left(groups: Sequence[Sequence[Run]], stack: Callable[[list[Run]], Stack], overwrite: bool) -> list[Run]:
@@ -224,12 +290,13 @@ def _beside(execution: Execution, threads: int | None, run: Run) -> int:
     return SIDE_BY_SIDE if is_exact else 1
 
 
-def _target(run: Run, execution: Execution) -> LogTarget | None:
+def _target(run: Run, path: Path, execution: Execution) -> LogTarget | None:
+    """Where the numbers of a record are sent while they are measured."""
     if execution.log is None:
         return None
     manifest, profile = run.manifest, run.plan.profile
-    place = str(run.path.relative_to(run.results / profile).with_suffix(""))
-    title = f"{manifest.task}-{manifest.method}-{run.path.stem}"
+    place = str(path.relative_to(run.results / profile).with_suffix(""))
+    title = f"{path.parent.parent.name}-{manifest.method}-{path.stem}"
     return LogTarget(execution.log, execution.log_dir, "evaluate", profile, manifest.domain, place, title, run.plan.values)
 
 
@@ -272,7 +339,8 @@ def plan_evaluate(
     return found
 
 
-def _is_of(made: tuple[Any, ...], dataset: DatasetReference) -> bool:
+def _is_of(made: tuple[Any, ...], record: Record) -> bool:
+    dataset = record.dataset
     there = (
         dataset.id, dataset.domain, dataset.task, dataset.method, dataset.seed, dataset.profile, dataset.overrides, dataset.reward,
         dataset.source,

@@ -224,6 +224,17 @@ class Arena:
             self._simulators += kept[:size]
 
 
+class Trial(Protocol):
+    """Who is tried at the evaluations of a training, where it is not its members themselves, each on its own task."""
+
+    @property
+    def each(self) -> int:
+        """How many outcomes each member has."""
+
+    def actor(self) -> Actor:
+        """What is tried now: ``each`` policies of the first member, then those of the next."""
+
+
 def rehearse_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig) -> None:
     """Take the memory that a training takes, by a few updates."""
     rehearse(_updates(agent, data, config))
@@ -242,7 +253,7 @@ def _updates(agent: Evaluator, data: Episodes, config: EvaluateConfig) -> Update
 
 def run_evaluation(
     agent: Evaluator, data: Episodes, config: EvaluateConfig, arena: Arena, advance: Callable[[int], None], logs: Sequence[RunLog] = (),
-    checkpoints: Checkpoints | None = None,
+    checkpoints: Checkpoints | None = None, trial: Trial | None = None,
 ) -> list[Outcome]:  # fmt: skip
     """Train ``config.gradient_steps`` updates on a fixed dataset and evaluate at 0, at every interval and at the end.
 
@@ -250,20 +261,26 @@ def run_evaluation(
 
     Args:
         agent: E members.
-        data: episodes with a reward (E, steps) for each member.
+        data: episodes, with a reward (E, steps) for each member that learns from rewards.
         config: how long and how often.
         arena: where the policies are tried.
         advance: told how many gradient steps have been done since it was last called.
         checkpoints: where the run's state is kept from time to time; what is found there is continued, with the same result as
             if it had never stopped.
         logs: see :class:`Ledger`.
+        trial: who is tried instead of the members.
+
+    Returns:
+        What came out for each member, or for each of those that are tried.
 
     Raises:
         RunError: training diverged (a metric is not finite), or a simulation did.
         Interrupted: the process was asked to leave; the state is kept.
     """
     updates = _updates(agent, data, config)
-    ledger = Ledger(len(agent.seeds), logs)
+    each = 1 if trial is None else trial.each
+    seeds = [seed for seed in agent.seeds for _ in range(each)]
+    ledger = Ledger(len(seeds), logs)
     points, final_points = set(config.points), set(config.final_points)
 
     def restore(_: int, state: dict[str, Any]) -> None:
@@ -282,10 +299,14 @@ def run_evaluation(
     try:
         for step in range(start, config.gradient_steps + 1):
             last = step == config.gradient_steps
-            if step in points and ledger.evaluated < step:
-                ledger.add_returns(step, arena.evaluate(agent, agent.seeds, "evaluation", step, config.evaluation_episodes))
-            if step in final_points and ledger.concluded < step:
-                ledger.add_final(step, arena.evaluate(agent, agent.seeds, FINAL, step, config.final_episodes))
+            tries = step in points and ledger.evaluated < step
+            concludes = step in final_points and ledger.concluded < step
+            if tries or concludes:
+                tried: Actor = agent if trial is None else trial.actor()
+            if tries:
+                ledger.add_returns(step, arena.evaluate(tried, seeds, "evaluation", step, config.evaluation_episodes))
+            if concludes:
+                ledger.add_final(step, arena.evaluate(tried, seeds, FINAL, step, config.final_episodes))
             if checkpoints is not None and checkpoints.due():
                 checkpoints.save(step, state())
             if interrupts.requested():
@@ -295,7 +316,7 @@ def run_evaluation(
             measure = (step + 1) % config.evaluate_every == 0 or step + 1 == config.gradient_steps
             metrics, _ = updates(measure)
             if measure:
-                ledger.add_metrics(step + 1, member_rows(metrics, step + 1))
+                ledger.add_metrics(step + 1, [row for row in member_rows(metrics, step + 1) for _ in range(each)])
             if step + 1 - told >= _NOTIFY_EVERY or step + 1 == config.gradient_steps:
                 advance(step + 1 - told)
                 told = step + 1

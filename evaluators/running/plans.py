@@ -9,6 +9,7 @@ from typing import Any
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.artefacts.records import LABELS
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
@@ -17,6 +18,8 @@ from cudc_bench.settings.config import as_dict, build, changed, check_settings
 from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones, plain_values, profile_values
 from cudc_bench.settings.profiles import Profile
 from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
+
+from ..zero_shot import ZeroShotLearner
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,11 @@ class Plan:
     def values(self) -> dict[str, Any]:
         """All hyperparameters by name."""
         return as_dict(self.loop, self.config)
+
+    @property
+    def is_zero_shot(self) -> bool:
+        """Whether it trains without rewards, and is told of tasks afterwards."""
+        return issubclass(self.kind, ZeroShotLearner)
 
 
 def make_plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], steps: int | None) -> list[Plan]:
@@ -180,6 +188,53 @@ class Wanted:
         ids = [one for base, manifest in found for one in self._labelled(base, manifest, overwrite)]
         return list(dict.fromkeys(ids))
 
+    def ensure_bases(self, device: str, workers: int | None) -> dict[str, tuple[str, ...]]:
+        """The task-agnostic datasets behind them, after those were collected that were missing, and the tasks that are asked for.
+
+        Raises:
+            UsageError: one that was named is of another profile, labelled for another task, or has no physics states to label.
+            RunError: making one failed.
+        """
+        if self.ids is None:
+            found = {
+                one: self._asked(None)
+                for method in self.methods
+                for one in ensure_collected(method, self.domains[0], self.seeds, profile=self.profile, device=device, workers=workers)
+            }
+        else:
+            found = {}
+            for dataset_id in self.ids:
+                manifest = read_manifest(parse_id(dataset_id))
+                check_profile(manifest, dataset_id, self.profile)
+                one = self._base(dataset_id, manifest)
+                found[one] = tuple(dict.fromkeys((*found.get(one, ()), *self._asked(manifest))))
+        for one in found:
+            if "infos/physics" not in read_manifest(parse_id(one)).fields:
+                raise UsageError(f"'{one}' holds no physics states, from which a learner without rewards is told of its tasks.")
+        return found
+
+    def _base(self, dataset_id: str, manifest: Manifest) -> str:
+        if manifest.task is None:
+            return dataset_id
+        if manifest.base is None or not exists(manifest.base.id):
+            raise UsageError(
+                f"'{dataset_id}' is labelled for {manifest.task}, and the task-agnostic dataset behind it is not here; a learner without"
+                " rewards trains on that one."
+            )
+        return manifest.base.id
+
+    def _asked(self, manifest: Manifest | None) -> tuple[str, ...]:
+        """The tasks that a dataset is wanted for; a labelled one only for its own."""
+        if self.reward is not None:
+            return (self.reward.name,)
+        if manifest is not None and manifest.task is not None:
+            if manifest.reward is not None or (self.tasks is not None and manifest.task not in self.tasks):
+                raise UsageError(
+                    f"a dataset that was named is labelled for {manifest.task}; name the one behind it, and --task or --reward."
+                )
+            return (manifest.task,)
+        return tuple(check_tasks(check_domain(self.domains[0] if manifest is None else manifest.domain), self.tasks))
+
     def _labelled(self, dataset_id: str, manifest: Manifest, overwrite: bool) -> list[str]:
         if manifest.task is None:
             return ensure_relabelled(dataset_id, self.tasks, self.reward, overwrite)
@@ -187,3 +242,29 @@ class Wanted:
         if overwrite and usual and base is not None and exists(base.id) and str(parse_id(base.id).for_task(manifest.task)) == dataset_id:
             return ensure_relabelled(base.id, None, self.reward, overwrite)
         return [dataset_id]
+
+
+def check_labels(labels: Sequence[int] | None) -> list[int]:
+    """Numbers of labelled transitions, ascending without repeats; the usual one unless given.
+
+    Raises:
+        UsageError: there is none, or one is less than 1.
+    """
+    if labels is None:
+        return [LABELS]
+    if not labels or min(labels) < 1:
+        raise UsageError("--labels takes numbers of transitions, 1 or more.")
+    return sorted(set(labels))
+
+
+def check_label_source(dataset_id: str, domains: Sequence[str]) -> None:
+    """Refuse a dataset from which labels cannot be drawn.
+
+    Raises:
+        UsageError: there is none of that id, or it is of another domain, or holds no physics states.
+    """
+    manifest = read_manifest(parse_id(dataset_id))
+    if set(domains) != {manifest.domain}:
+        raise UsageError(f"--labels-from takes a dataset of {', '.join(domains)}; '{dataset_id}' is of {manifest.domain}.")
+    if "infos/physics" not in manifest.fields:
+        raise UsageError(f"'{dataset_id}' holds no physics states, from which rewards follow; give --labels-from another dataset.")

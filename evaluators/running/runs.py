@@ -7,20 +7,23 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.ids import default_id
-from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.ids import default_id, parse_id
+from cudc_bench.artefacts.manifest import Manifest, RewardFunction
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.artefacts.records import (
     CHECKPOINTS,
+    LABELS,
     Collection,
     DatasetReference,
     Evaluation,
     Record,
     TrainingMetrics,
+    ZeroShot,
     read_record,
     record_path,
 )
@@ -37,22 +40,51 @@ from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.evaluate_config import in_full
 
 from .datasets import load_members
+from .labels import Question
 from .loop import Outcome, rehearse_evaluation
 from .plans import Plan
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a learner without rewards made of a question when it was trained.
+
+    Attributes:
+        question: which.
+        norm: the length of its vector before it was scaled.
+        drawn: how many labels there were.
+        rewarded: the share of them that are not zero.
+        rule: how the vector follows.
+    """
+
+    question: Question
+    norm: float
+    drawn: int
+    rewarded: float
+    rule: str
+
+    def told(self, run: Run, seconds: float) -> ZeroShot:
+        """What the record says of it, of a run whose training took so many seconds."""
+        return ZeroShot(
+            labels=self.question.labels, drawn=self.drawn, source=self.question.source, rule=self.rule, norm=self.norm,
+            rewarded=self.rewarded, training=run.training, records=len(run.questions), training_seconds=seconds,
+        )  # fmt: skip
+
 
 SIDE_BY_SIDE = 4  # trainings on one core at most; see benchmarks/README.md
 
 
 @dataclass(frozen=True)
 class Run:
-    """One training: an algorithm on a dataset, or on the first ``used`` transitions of it, with a seed, and where its record goes.
+    """One training: an algorithm on a dataset, or on the first ``used`` transitions of it, with a seed, and where its records go.
 
     Attributes:
         plan: the algorithm.
-        dataset, manifest: the labelled dataset.
+        dataset, manifest: labelled, or task-agnostic for a learner without rewards.
         used: how many of its transitions; None for all.
         seed: of the training.
         results: the folder of records.
+        questions: what a learner without rewards is asked, once it is trained; there is a record of each.
     """
 
     plan: Plan
@@ -61,11 +93,33 @@ class Run:
     used: int | None
     seed: int
     results: Path
+    questions: tuple[Question, ...] = ()
 
     @property
     def path(self) -> Path:
-        """Of its record."""
-        return record_path(self.results, self.dataset, self.plan.algo, self.manifest.seed, self.plan.profile, self.used, self.seed)
+        """Of its record; of a learner without rewards the place where a record of it would be that is of no task."""
+        return self._path(self.dataset)
+
+    @property
+    def paths(self) -> list[Path]:
+        """Of all its records."""
+        return [self.path_of(question) for question in self.questions] or [self.path]
+
+    def path_of(self, question: Question) -> Path:
+        """Of the record of a question."""
+        return self._path(str(parse_id(self.dataset).for_task(question.task)), question.labels)
+
+    def _path(self, dataset: str, labels: int | None = None) -> Path:
+        return record_path(self.results, dataset, self.plan.algo, self.manifest.seed, self.plan.profile, self.used, self.seed, labels)
+
+    @property
+    def training(self) -> str:
+        """The same for all records of this training and no others, as far as what it depends on is known."""
+        made = {
+            "algorithm": self.plan.algo, "hyperparameters": self.plan.values, "data": self.manifest.fingerprint, "used": self.used,
+            "seed": self.seed,
+        }  # fmt: skip
+        return config_hash(made)[:16]
 
     @property
     def hidden(self) -> Path:
@@ -78,12 +132,27 @@ class Run:
         return self.hidden.with_name(f"{self.hidden.name}.lock")
 
     def is_done(self) -> bool:
-        """Whether this very run is recorded already.
+        """Whether this very run is recorded already, with all that it is asked.
 
         Raises:
             UsageError: another run stands in its place.
         """
-        return is_recorded(self.path, self.plan, self.used, self.seed, lambda dataset: dataset.fingerprint == self.manifest.fingerprint)
+        if not self.questions:
+            return is_recorded(self.path, self.plan, self.used, self.seed, self._is_of_its_data)
+        # All are looked at: what stands in the place of any is said before the training.
+        found = [self._is_answered(one) for one in self.questions]
+        return all(found)
+
+    def _is_of_its_data(self, record: Record) -> bool:
+        return record.dataset.fingerprint == self.manifest.fingerprint
+
+    def _is_answered(self, question: Question) -> bool:
+        def is_same(record: Record) -> bool:
+            told = record.zero_shot
+            there = told is not None and (told.labels, told.source, record.dataset.reward)
+            return self._is_of_its_data(record) and there == (question.labels, question.source, question.reward)
+
+        return is_recorded(self.path_of(question), self.plan, self.used, self.seed, is_same)
 
     def is_untidy(self) -> bool:
         """Whether something is left of its work."""
@@ -125,7 +194,8 @@ class Stack:
     @property
     def name(self) -> str:
         """What they make, as messages say it."""
-        return f"'{self.runs[0].path}'" if len(self.runs) == 1 else f"{len(self.runs)} records in {self.results}"
+        paths = [path for run in self.runs for path in run.paths]
+        return f"'{paths[0]}'" if len(paths) == 1 else f"{len(paths)} records in {self.results}"
 
     @property
     def label(self) -> str:
@@ -137,6 +207,8 @@ class Stack:
             for run in self.runs
         ]
         tasks = [f"/{run.manifest.task}/" for run in self.runs]
+        if asked := dict.fromkeys(one.task for run in self.runs for one in run.questions):
+            return f"{self.plan.algo}: {' + '.join(names)}, asked for {', '.join(asked)}"
         if len(bases := {name.replace(task, "/") for name, task in zip(names, tasks, strict=True)}) == 1 < len(names):
             return f"{self.plan.algo}: {bases.pop()} for {', '.join(task.strip('/') for task in tasks)}"
         return f"{self.plan.algo}: {' + '.join(names) if len(names) < 3 else f'{len(names)} datasets'}"
@@ -149,6 +221,8 @@ class Stack:
             "datasets": {run.dataset: run.manifest.fingerprint for run in self.runs}, "device": self.execution.device,
             "engine": self.engine, **origin(plugins.package("evaluators", plan.algo)),
         }  # fmt: skip
+        if asked := [[one.facts for one in run.questions] for run in self.runs if run.questions]:
+            decisive["questions"] = asked
         if len(self.runs) == 1:
             return Checkpoints(self.runs[0].hidden, decisive, every)
         places = [run.path.relative_to(self.results).with_suffix("").as_posix() for run in self.runs]
@@ -160,7 +234,8 @@ class Stack:
         facts = check_domain(runs[0].manifest.domain)
         agent = plan.kind(facts.observation_size, facts.action_size, plan.config, seeds, device)
         set_engine(agent, self.engine)
-        rehearse_evaluation(agent, load_members([run.dataset for run in runs], seeds, device, runs[0].used), plan.loop)
+        data = load_members([run.dataset for run in runs], seeds, device, runs[0].used, labelled=not runs[0].questions)
+        rehearse_evaluation(agent, data, plan.loop)
 
     def is_interrupted(self) -> bool:
         """Whether these very runs have been begun together and not ended."""
@@ -177,14 +252,15 @@ class Stack:
 
 
 def stackable(runs: Sequence[Run]) -> list[list[Run]]:
-    """Runs that one stack can train: the same algorithm, domain and number of transitions."""
-    found: dict[tuple[str, str, int | None], list[Run]] = {}
+    """Runs that one stack can train: the same algorithm, domain and number of transitions, asked the same."""
+    found: dict[tuple[Any, ...], list[Run]] = {}
     for run in runs:
-        found.setdefault((run.plan.algo, run.manifest.domain, run.used), []).append(run)
+        asked = (run.questions, run.manifest.steps) if run.questions else None
+        found.setdefault((run.plan.algo, run.manifest.domain, run.used, asked), []).append(run)
     return list(found.values())
 
 
-def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Callable[[DatasetReference], bool]) -> bool:
+def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Callable[[Record], bool]) -> bool:
     """Whether a record is there, of this training on the same data.
 
     Raises:
@@ -193,12 +269,14 @@ def is_recorded(path: Path, plan: Plan, used: int | None, seed: int, is_same: Ca
 
     def is_of_it(record: Record) -> bool:
         made = (in_full(record.hyperparameters), record.dataset.used, record.seed)
-        return made == (plan.values, used, seed) and is_same(record.dataset)
+        return made == (plan.values, used, seed) and is_same(record)
 
     return result_stands(path, read_record, is_of_it, lambda _: "records another run (other data or settings)")
 
 
-def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, seconds: float, beside: int = 1) -> Record:
+def record_of(
+    run: Run, outcome: Outcome, execution: Execution, engine: str, seconds: float, beside: int = 1, answer: Answer | None = None
+) -> Record:
     """The record of a run.
 
     Args:
@@ -208,33 +286,21 @@ def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, sec
         engine: how its updates were carried out.
         seconds: of work on it and on those beside it.
         beside: how many were trained side by side.
+        answer: to which of its questions, if it was asked any.
     """
-    plan, manifest, dataset_id = run.plan, run.manifest, run.dataset
+    plan, manifest = run.plan, run.manifest
     values = plan.values
     head, dirty = commit()
-    options = {"--algo": plan.algo, "--profile": plan.profile} | execution.options
-    usual = default_id(manifest.domain, manifest.method, manifest.seed, manifest.profile).for_task(str(manifest.task))
-    if dataset_id == str(usual) and not manifest.overrides and manifest.imported is None:
-        # Written like this, the command also makes the datasets anew where they are missing.
-        options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}
-        if manifest.reward is None:
-            options["--task"] = str(manifest.task)
-    else:
-        options["--dataset-id"] = dataset_id
-    if manifest.reward is not None:
-        options["--reward"] = manifest.reward.reference
-    if run.used is not None:
-        options["--dataset-size"] = str(run.used)
-    if run.seed != manifest.seed:
-        options["--training-seeds"] = str(run.seed)
     finals = [Evaluation(step=step, returns=returns) for step, returns in outcome.finals]
     made = manifest.collected
     collection = Collection(hyperparameters=manifest.hyperparameters, versions=made.versions, machine=made.machine) if made else None
+    task, reward = (manifest.task, manifest.reward) if answer is None else (answer.question.task, answer.question.reward)
+    seconds /= beside
     return Record(
         dataset=DatasetReference(
-            id=dataset_id, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(manifest.task), method=manifest.method,
+            id=run.dataset, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(task), method=manifest.method,
             seed=manifest.seed, steps=manifest.steps, profile=manifest.profile, overrides=manifest.overrides,
-            reward=manifest.reward, source=None if manifest.imported is None else manifest.imported.source, used=run.used,
+            reward=reward, source=None if manifest.imported is None else manifest.imported.source, used=run.used,
             collection=None if manifest.imported is not None else collection,
         ),
         algorithm=plan.algo,
@@ -248,11 +314,39 @@ def record_of(run: Run, outcome: Outcome, execution: Execution, engine: str, sec
         final=finals[-1],
         late=finals[:-1],
         metrics=[TrainingMetrics(step=step, values=row) for step, row in outcome.metrics],
-        seconds=round(seconds / beside, 1),
+        seconds=round(seconds / max(1, len(run.questions)), 1),
         versions=versions(),
         commit=head,
         dirty=dirty,
         machine=machine(execution.device, torch.get_num_threads(), engine) | ({} if beside == 1 else {"beside": beside}),
-        command=command_line("evaluate", options, plan.overrides, "--overwrite"),
+        command=_command(run, execution, str(task), reward, None if answer is None else answer.question),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
+        zero_shot=None if answer is None else answer.told(run, round(seconds, 1)),
     )  # fmt: skip
+
+
+def _command(run: Run, execution: Execution, task: str, reward: RewardFunction | None, question: Question | None) -> str:
+    """What makes a run's record again."""
+    plan, manifest = run.plan, run.manifest
+    options = {"--algo": plan.algo, "--profile": plan.profile} | execution.options
+    usual = default_id(manifest.domain, manifest.method, manifest.seed, manifest.profile)
+    if run.dataset == str(usual if question else usual.for_task(task)) and not manifest.overrides and manifest.imported is None:
+        # Written like this, the command also makes the datasets anew where they are missing.
+        options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}
+        if reward is None:
+            options["--task"] = task
+    else:
+        options["--dataset-id"] = run.dataset
+        if question is not None and reward is None:
+            options["--task"] = task
+    if reward is not None:
+        options["--reward"] = reward.reference
+    if run.used is not None:
+        options["--dataset-size"] = str(run.used)
+    if question is not None and question.labels != LABELS:
+        options["--labels"] = str(question.labels)
+    if question is not None and question.source is not None:
+        options["--labels-from"] = question.source.id
+    if run.seed != manifest.seed:
+        options["--training-seeds"] = str(run.seed)
+    return command_line("evaluate", options, plan.overrides, "--overwrite")
