@@ -32,6 +32,7 @@ __all__ = [
     "DescriptorCoverage",
     "Transitions",
     "Verification",
+    "ask_policy",
     "collect",
     "coverage",
     "draw_diagnostics",
@@ -55,8 +56,8 @@ __all__ = [
     "verify",
 ]
 _STAGES = (
-    "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "load_policy", "render_policy",
-    "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite", "rerun",
+    "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "ask_policy", "load_policy",
+    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite", "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

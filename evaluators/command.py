@@ -106,7 +106,7 @@ def _scores(paths: Sequence[Path], output: str) -> Iterator[str]:
     """One line for each record: its score, its spread, and between what it lies where that was measured."""
     from statistics import pstdev
 
-    from cudc_bench.artefacts.records import read_record
+    from cudc_bench.artefacts.records import LABELS, read_record
     from cudc_bench.artefacts.references import read_references
 
     bounds, _ = read_references([Path(output)])
@@ -114,7 +114,9 @@ def _scores(paths: Sequence[Path], output: str) -> Iterator[str]:
         record = read_record(path)
         data, episodes = record.dataset, record.conclusion
         within = bounds.get((record.profile, data.domain, data.task))
-        name = f"{record.algorithm} on {data.id}" + ("" if data.used is None else f" (first {data.used:,})")
+        name = f"{record.algorithm} on {record.labelled_id}" + ("" if data.used is None else f" (first {data.used:,})")
+        if (told := record.zero_shot) is not None and told.labels != LABELS:
+            name += f", {told.labels:,} labels"
         name += "" if record.seed == data.seed else f", training seed {record.seed}"
         score = f"{episodes.mean:.1f} ± {pstdev(episodes.returns):.1f} over {len(episodes.returns)} episodes"
         ends = "" if within is None else f"; random {within.floor:.1f}, trained online {within.ceiling:.1f}"

@@ -1,10 +1,14 @@
-"""``cudc-bench export`` and ``cudc-bench render``."""
+"""``cudc-bench export``, ``cudc-bench render`` and ``cudc-bench ask``."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 import typer
+
+from cudc_bench.artefacts.records import LABELS
+from cudc_bench.cli import completion
+from cudc_bench.cli.options import RewardOption
 
 RecordArgument = Annotated[str, typer.Argument(metavar="RECORD", help="Run record, as evaluate named it; its policy lies beside it.")]
 
@@ -53,3 +57,40 @@ def render(
         record, output, episodes=episodes, seed=seed, width=width, height=height, fps=fps, camera=camera, reward=reward, gl=gl or ""
     )
     print(done.path)
+
+
+def ask(
+    policy: Annotated[str, typer.Argument(metavar="POLICY", help="A record of a learner without rewards, or its *.learner.pt.")],
+    reward: RewardOption = None,
+    task: Annotated[str | None, typer.Option("--task", help="A task of the domain, instead of --reward.")] = None,
+    labels: Annotated[int, typer.Option("--labels", help="Transitions whose rewards it is told.")] = LABELS,
+    labels_from: Annotated[
+        str | None,
+        typer.Option("--labels-from", help="Draw these from another dataset than the one trained on.", autocompletion=completion.datasets),
+    ] = None,
+    episodes: Annotated[int, typer.Option("--episodes", help="How many it is tried in.")] = 10,
+    render: Annotated[bool, typer.Option("--render", help="Also write a video of it.")] = False,
+    output: Annotated[str, typer.Option("--output", help="Folder of the answer's record, policy and video.")] = "asked",
+) -> None:
+    """Ask a trained learner without rewards for a policy that pursues a reward, and try it; nothing is trained."""
+    import os
+    from statistics import fmean, pstdev
+
+    gl, os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL"), "disabled"
+
+    from cudc_bench.execution.progress import echo
+
+    from .asking import ask_policy
+
+    asked = ask_policy(policy, reward, task=task, labels=labels, labels_from=labels_from, episodes=episodes, output=output)
+    print(asked.record)
+    echo(
+        f"{fmean(asked.returns):.1f} ± {pstdev(asked.returns):.1f} over {len(asked.returns)} episodes; {asked.rewarded:.1%} of the labels"
+        f" have a reward; asked and tried in {asked.seconds:.1f} s"
+    )
+    if render:
+        from .rendering import render_policy
+
+        print(render_policy(asked.record, reward=reward, gl=gl or "").path)
+    else:
+        echo(f"next: cudc-bench render {asked.record}")

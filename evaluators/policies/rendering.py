@@ -95,7 +95,7 @@ def render_policy(
     # It starts first: where nothing can draw, no episode is played for nothing.
     with Drawer(facts.name, found.dataset.task, view, *size, os.environ.get("MUJOCO_GL") if gl is None else gl) as drawer:
         length = facts.episode_length * simulator.timestep
-        echo(f"render {found.algorithm} on {found.dataset.id}: {episodes} x {length:g} s, drawn with {drawer.backend}")
+        echo(f"render {found.algorithm} on {found.labelled_id}: {episodes} x {length:g} s, drawn with {drawer.backend}")
         played = _play(
             f"play {found.dataset.task}", episodes * facts.episode_length, _threads(found), policy=policy, seeds=seeds, recorded=recorded,
             reward=custom,

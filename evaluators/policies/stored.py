@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from cudc_bench import plugins
 from cudc_bench.artefacts.again import commands_from_nothing
 from cudc_bench.artefacts.provenance import is_own_command, versions
-from cudc_bench.artefacts.records import Record, read_record
+from cudc_bench.artefacts.records import LABELS, Record, read_record
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.files import MOST_WEIGHTS, check_path, read_limited, unwritable, write_atomically
@@ -110,9 +110,46 @@ def save_learner(agent: ZeroShotLearner, member: int, place: Path) -> None:
     Raises:
         RunError: it cannot be written.
     """
-    networks = {name: value for name, value in nn.Module.state_dict(agent).items() if not name.startswith(SLOW)}
-    weights = {name: value.chunk(len(agent.seeds))[member] for name, value in networks.items()}
+    weights = {name: value.chunk(len(agent.seeds))[member] for name, value in _lasting(agent).items()}
     _write_weights(weights, place.with_name(place.name.removesuffix(".json") + LEARNER), "learner")
+
+
+def _lasting(agent: ZeroShotLearner) -> dict[str, Tensor]:
+    """What a trained learner is, without the slow copies that it learned with."""
+    return {name: value for name, value in nn.Module.state_dict(agent).items() if not name.startswith(SLOW)}
+
+
+def learner_path(record: Path, found: Record) -> Path:
+    """Where the learner behind a record is kept, which all records of its training share."""
+    stem = record.name.removesuffix(".json")
+    if found.zero_shot is not None and found.zero_shot.labels != LABELS:
+        stem = stem.replace(f"-labels{found.zero_shot.labels}", "", 1)
+    folder = record.parent
+    return folder.parent.parent / folder.name / (stem + LEARNER)
+
+
+def load_learner(record: Path, found: Record) -> ZeroShotLearner:
+    """The zero-shot learner of a record, of one member, on the CPU.
+
+    Args:
+        record: path of a record of its training.
+        found: what it says.
+
+    Raises:
+        RunError: the learner is missing or damaged, or this version cannot make its networks from the record.
+        UsageError: the record's algorithm or domain is not installed here.
+    """
+    path = learner_path(record, found)
+    if not path.exists():
+        raise RunError(f"the learner of {record} is not here ({path}); {_again(found)}")
+    kind, facts = plugins.load("evaluators", found.algorithm), check_domain(found.dataset.domain)
+    weights = _read_weights(path)
+    agent = _agent(kind, found, facts.observation_size, facts.action_size, record, _largest(weights))
+    if not isinstance(agent, ZeroShotLearner):
+        raise RunError(f"{found.algorithm} is no learner without rewards here{_other_version(found)}.")
+    _check_shapes(_lasting(agent), weights, f"the learner {path}", found)
+    nn.Module.load_state_dict(agent, dict(weights), strict=False)
+    return agent.eval().requires_grad_(False)
 
 
 def _write_weights(weights: Mapping[str, Tensor], path: Path, what: str) -> None:
@@ -142,22 +179,35 @@ def load_policy(record: str | Path) -> Policy:
     if not path.exists():
         raise RunError(f"{place} has no policy beside it ({path.name}); {_again(found)}")
     weights = _read_weights(path)
-    largest = max((size for value in weights.values() for size in value.shape), default=1)
-    module = _network(kind, found, facts.observation_size, facts.action_size, place, largest)
-    wanted, there = _shapes(module.state_dict()), _shapes(weights)
-    if wanted != there:
-        name = min(name for name in wanted.keys() | there.keys() if wanted.get(name) != there.get(name))
-        raise RunError(
-            f"the policy {path} does not fit its record: '{name}' is {there.get(name, 'missing')} and should be"
-            f" {wanted.get(name, 'missing')}{_other_version(found)}; {_again(found)}"
-        )
+    module = copy.deepcopy(_agent(kind, found, facts.observation_size, facts.action_size, place, _largest(weights)).policy)
+    _check_shapes(module.state_dict(), weights, f"the policy {path}", found)
     module.load_state_dict(weights)
     policy = Policy(module, found, facts.observation_size, facts.action_size)
     return policy.eval().requires_grad_(False)
 
 
-def _network(kind: Any, record: Record, observation: int, action: int, place: Path, largest: int) -> nn.Module:
-    """The policy's network with one member, whose weights do not matter yet; ``largest`` is the largest size of its weights."""
+def _largest(weights: Mapping[str, Tensor]) -> int:
+    """The largest size of some weights."""
+    return max((size for value in weights.values() for size in value.shape), default=1)
+
+
+def _check_shapes(expected: Mapping[str, Tensor], there: Mapping[str, Tensor], what: str, record: Record) -> None:
+    """Refuse weights that are not those of a network.
+
+    Raises:
+        RunError: they are others.
+    """
+    wanted, given = _shapes(expected), _shapes(there)
+    if wanted != given:
+        name = min(name for name in wanted.keys() | given.keys() if wanted.get(name) != given.get(name))
+        raise RunError(
+            f"{what} does not fit its record: '{name}' is {given.get(name, 'missing')} and should be"
+            f" {wanted.get(name, 'missing')}{_other_version(record)}; {_again(record)}"
+        )
+
+
+def _agent(kind: Any, record: Record, observation: int, action: int, place: Path, largest: int) -> Evaluator:
+    """What a record trained, with one member, whose weights do not matter yet; ``largest`` is the largest size of its weights."""
     known = set(field_names(kind.config_class))
     # A hyperparameter that came later has a default that does what was done before. One that has gone may have meant anything.
     gone = sorted(set(record.hyperparameters) - known - set(field_names(EvaluateConfig)))
@@ -175,7 +225,7 @@ def _network(kind: Any, record: Record, observation: int, action: int, place: Pa
     except (CudcBenchError, ValueError, TypeError) as error:
         # Also what an algorithm itself refuses when it is built.
         raise RunError(f"{place} cannot be used with this version of {record.algorithm}: {str(error).rstrip('.')}.") from None
-    return copy.deepcopy(agent.policy)
+    return agent
 
 
 def _read_weights(path: Path) -> Mapping[str, Tensor]:

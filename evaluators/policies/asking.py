@@ -1,0 +1,178 @@
+"""``ask``: from a trained zero-shot learner and a reward function to a policy, its score and a video, without training."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cudc_bench.artefacts.manifest import RewardFunction, exists, read_manifest
+from cudc_bench.artefacts.provenance import command_line, versions
+from cudc_bench.artefacts.records import LABELS, Evaluation, LabelSource, Record, ZeroShot, read_record, record_path, write_record
+from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
+from cudc_bench.errors import UsageError
+from cudc_bench.execution.parallel import Job, run_jobs
+from cudc_bench.execution.progress import Advance, warn
+from cudc_bench.files import check_folder, check_path
+
+from ..running.labels import Interview, Question, draw_labels
+from ..running.loop import FINAL, Arena
+from ..zero_shot import ZeroShotLearner
+from .stored import LEARNER, load_learner, save_policy
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a learner answered.
+
+    Attributes:
+        record: the path of a record of it, with the policy beside it, as :func:`render_policy` and :func:`export_policy` take it.
+        returns: undiscounted, of each episode.
+        norm: the length of the task's vector before it was scaled; 0 if no label has a reward.
+        rewarded: share of the labels that have one.
+        seconds: from the question to the returns.
+    """
+
+    record: Path
+    returns: tuple[float, ...]
+    norm: float
+    rewarded: float
+    seconds: float
+
+
+def ask_policy(
+    policy: str | Path,
+    reward: str | Callable[[Measured], Any] | None = None,
+    *,
+    task: str | None = None,
+    labels: int = LABELS,
+    labels_from: str | None = None,
+    episodes: int = 10,
+    output: str | Path = "asked",
+) -> Asked:
+    """Ask a trained zero-shot learner for a policy that pursues a reward which it was never trained on, and try it.
+
+    Args:
+        policy: a record of the learner, of any task, or its file ``*.learner.pt``.
+        reward: an own reward function, ``"module:function"`` or itself; see ``cudc_bench.envs.rewards``.
+        task: a task of the domain instead.
+        labels: how many transitions' rewards it is told.
+        labels_from: the dataset that they are drawn from; that which it was trained on unless given.
+        episodes: how many it is tried in.
+        output: folder of the answer's record and policy. They are no results of a training, and belong in no table.
+
+    Raises:
+        UsageError: wrong input, or the dataset of the labels is not here.
+        RunError: the learner's files are missing or damaged, or the reward function failed.
+    """
+    start = time.monotonic()
+    place = _record_of(check_path(policy, "the policy"))
+    record = read_record(place)
+    facts = check_domain(record.dataset.domain)
+    custom, question, source = _question(record, facts, reward, task, labels, labels_from)
+    if episodes < 1:
+        raise UsageError(f"--episodes takes 1 or more, not {episodes}.")
+    folder = check_folder(output, "the output")
+    agent = load_learner(place, record)
+    used = record.dataset.used if labels_from is None else None
+    (answer,) = run_jobs(
+        _answer, [Job(f"ask for {question.task}", 2, {
+            "agent": agent, "facts": facts, "question": question, "custom": custom, "source": source, "used": used, "episodes": episodes,
+            "step": record.final.step,
+        })], unit="steps", workers=1, threads=1,
+    )  # fmt: skip
+    returns, interview = answer
+    told = interview.told()
+    rewards = interview.labelled(question).reward
+    norm, rewarded = float(told.norms), float((rewards != 0).double().mean())
+    if norm == 0.0:
+        warn(f"none of the {rewards.numel():,} labels has a reward, so that this policy pursues nothing")
+    seconds = round(time.monotonic() - start, 1)
+    options = {"--task": question.task} if custom is None else {"--reward": custom.reference}
+    options |= {} if labels == LABELS else {"--labels": str(labels)}
+    options |= {} if labels_from is None else {"--labels-from": labels_from}
+    evaluation = Evaluation(step=record.final.step, returns=returns)
+    shared = record.zero_shot
+    assert shared is not None
+    found = record.model_copy(
+        update={
+            "dataset": record.dataset.model_copy(update={"task": question.task, "reward": question.reward}),
+            "milestones": [record.final.step], "curve": [evaluation], "final": evaluation, "late": [], "metrics": [], "seconds": seconds,
+            "versions": versions(), "command": command_line(f"ask {place}", options, {}), "submission": None,
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "zero_shot": ZeroShot(
+                labels=labels, drawn=rewards.numel(), source=question.source, rule=agent.rule, norm=norm, rewarded=rewarded,
+                training=shared.training, records=1, training_seconds=shared.training_seconds,
+            ),
+        }
+    )  # fmt: skip
+    path = record_path(
+        folder, found.labelled_id, found.algorithm, found.dataset.seed, found.profile, found.dataset.used, found.seed, labels
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_policy(agent.policy_for(told.z[:, 0]), 0, path)
+    write_record(path, found)
+    return Asked(path, tuple(returns), norm, rewarded, seconds)
+
+
+def _record_of(path: Path) -> Path:
+    """A record of the learner that a user named by one, or by the learner's own file."""
+    if not path.is_file():
+        raise UsageError(f"there is no file '{path}'; name a record of a zero-shot learner, as cudc-bench evaluate printed it.")
+    if not path.name.endswith(LEARNER):
+        return path
+    # Its records are those of the tasks: beside the folder of its dataset, in one for each task.
+    stem = path.name.removesuffix(LEARNER)
+    beside = sorted(path.parent.parent.glob(f"*/{path.parent.name}/{stem}.json"))
+    if not beside:
+        raise UsageError(f"there is no record of the learner {path}; name one of those that cudc-bench evaluate printed.")
+    return beside[0]
+
+
+def _question(
+    record: Record, facts: Domain, reward: str | Callable[[Measured], Any] | None, task: str | None, labels: int, labels_from: str | None
+) -> tuple[CustomReward | None, Question, str]:
+    """The own function, if it is one, the question, and the dataset of its labels.
+
+    Raises:
+        UsageError: it cannot be asked.
+    """
+    if record.zero_shot is None:
+        raise UsageError(f"{record.algorithm} was trained for {record.dataset.task} alone; ask learners without rewards, such as fb.")
+    if (reward is None) == (task is None):
+        raise UsageError("ask for one thing: --reward module:function, or --task.")
+    if labels < 1:
+        raise UsageError(f"--labels takes 1 or more, not {labels}.")
+    custom = None if reward is None else load_reward(reward, facts)
+    name = check_tasks(facts, [str(task)])[0] if custom is None else custom.name
+    data = labels_from or record.dataset.id
+    if not exists(data):
+        raise UsageError(f"the labels are drawn from '{data}', which is not here; name another dataset with --labels-from.")
+    manifest = read_manifest(data)
+    if manifest.domain != facts.name or "infos/physics" not in manifest.fields:
+        raise UsageError(f"'{data}' is no dataset of {facts.name} with physics states; name another with --labels-from.")
+    if labels_from is None and manifest.fingerprint != record.dataset.fingerprint:
+        raise UsageError(f"'{data}' is not the dataset that it was trained on; name one with --labels-from.")
+    source = None if labels_from is None else LabelSource(id=labels_from, fingerprint=manifest.fingerprint)
+    own = None if custom is None else RewardFunction(reference=custom.reference, sha256=custom.sha256)
+    return custom, Question(name, labels, own, source), data
+
+
+def _answer(
+    advance: Advance, *, agent: ZeroShotLearner, facts: Domain, question: Question, custom: CustomReward | None, source: str,
+    used: int | None, episodes: int, step: int,
+) -> tuple[list[float], Interview]:  # fmt: skip
+    samples = draw_labels(source, facts, [question.task], question.labels, custom, used)
+    interview = Interview(agent, [samples], [question])
+    actor = interview.actor()
+    advance(1)
+    returns = Arena(facts, custom or [question.task]).evaluate(actor, agent.seeds, FINAL, step, episodes)
+    advance(1)
+    row: list[float] = np.asarray(returns)[0].tolist()
+    return row, interview
