@@ -18,10 +18,13 @@ class Evaluator(MemberStack):
 
     Class attributes, beside those of every stack:
         summary: what it is, in a few words, for lists.
+        learns_from_rewards: whether it trains on labelled datasets; one that does not is told of tasks afterwards, as a
+            :class:`~cudc_bench.evaluators.zero_shot.ZeroShotLearner` is.
         wants_next_action: whether batches must hold the action after s'; transitions that end an episode are then never drawn.
     """
 
     summary: ClassVar[str] = ""
+    learns_from_rewards: ClassVar[bool] = True
     wants_next_action: ClassVar[bool] = False
 
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:

@@ -74,6 +74,7 @@ class ZeroShotLearner(OfflineLearner):
             (``Batch.future_observation``, ``Batch.other_observation``).
     """
 
+    learns_from_rewards: ClassVar[bool] = False
     rule: ClassVar[str]
     wants_future: ClassVar[bool] = False
 

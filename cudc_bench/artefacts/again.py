@@ -44,6 +44,8 @@ def commands_from_nothing(record: Record) -> list[str]:
     data, collecting = record.dataset, collect_command(record.dataset)
     if "--dataset-id" not in record.command.split() or collecting is None:
         return [record.again]
+    if record.zero_shot is not None:
+        return [collecting, record.again]
     options = {"--task": data.task} if data.reward is None else {"--reward": data.reward.reference}
     labelling = command_line(f"relabel {base_id(data)}", options, {})
     return [collecting, labelling, record.again]

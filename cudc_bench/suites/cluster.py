@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -314,8 +315,11 @@ def _made(job: Job, here: Common) -> list[str]:
     for seed, base in zip(job.seeds, job.datasets, strict=True):
         one = default_id(job.domain, job.method, seed, job.profile)
         if job.kind == "evaluate":
-            records = [record_path(here.output, str(one.for_task(task)), str(job.algo), seed, here.profile, job.used) for task in job.tasks]
+            places = [(one.for_task(task), labels) for task in job.tasks for labels in job.labels or (None,)]
+            where = partial(record_path, here.output, algorithm=str(job.algo), seed=seed, profile=here.profile, used=job.used)
+            records = [where(dataset_id=str(place), labels=labels) for place, labels in places]
             found += [path for record in records for path in (record, record.with_suffix(".policy.pt"))]
+            found += [where(dataset_id=base).with_suffix(".learner.pt")] if job.labels else []
         else:
             ids = [base] if job.kind == "collect" else [str(one.for_task(task)) for task in job.tasks]
             found += [note_path(here, each) for each in ids]

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.records import LABELS
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import UsageError, nearest, unknown
 from cudc_bench.files import check_path, read_limited
@@ -20,6 +21,7 @@ from cudc_bench.settings.seeds import check_seeds, parse_seeds
 from .names import FOLDER, suite_names
 
 _LARGEST_FILE = 1_000_000
+_Count = Annotated[int, Field(ge=1, strict=True)]
 _Names = Annotated[list[str], Field(min_length=1)]
 _Share = Annotated[float, Field(gt=0, le=1, strict=True)]
 _Value = bool | int | float | str | list[int] | list[float]
@@ -35,6 +37,7 @@ class _File(BaseModel):
     tasks: _Names | None = None
     algos: list[str] | None = None
     dataset_shares: Annotated[list[_Share], Field(min_length=1)] | None = None
+    labels: Annotated[list[_Count], Field(min_length=1)] | None = None
     stats: bool | None = None
     seeds: str | int | list[int] | None = None
     profile: str | None = None
@@ -43,7 +46,7 @@ class _File(BaseModel):
 
 
 _KEYS = tuple(_File.model_fields)
-_OF_A_STUDY = ("methods", "domains", "tasks", "algos", "dataset_shares", "stats")
+_OF_A_STUDY = ("methods", "domains", "tasks", "algos", "dataset_shares", "labels", "stats")
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class SuiteStudy:
         tasks: each domain's own among these; None for all of them.
         algos: the offline algorithms that train; none for datasets alone.
         shares: of each dataset, from its beginning, that they train on.
+        labels: transitions that those without rewards are told the rewards of, for each task once with each of these numbers.
         stats: whether to measure the datasets without training, too.
     """
 
@@ -64,6 +68,7 @@ class SuiteStudy:
     algos: tuple[str, ...] = ()
     shares: tuple[float, ...] = (1.0,)
     stats: bool = False
+    labels: tuple[int, ...] = (LABELS,)
 
     def tasks_of(self, domain: str) -> tuple[str, ...]:
         """The tasks of one of its domains."""
@@ -213,7 +218,7 @@ def _study(found: _File, where: str) -> SuiteStudy:
     study = SuiteStudy(
         tuple(dict.fromkeys(found.methods)), tuple(dict.fromkeys(found.domains)),
         None if found.tasks is None else tuple(dict.fromkeys(found.tasks)), tuple(dict.fromkeys(found.algos or ())),
-        tuple(sorted(set(found.dataset_shares or (1.0,)))), bool(found.stats),
+        tuple(sorted(set(found.dataset_shares or (1.0,)))), bool(found.stats), tuple(sorted(set(found.labels or (LABELS,)))),
     )  # fmt: skip
     try:
         _check_names(study)
@@ -221,6 +226,8 @@ def _study(found: _File, where: str) -> SuiteStudy:
         raise UsageError(f"{where}: {error}") from None
     if found.dataset_shares is not None and not study.algos:
         raise UsageError(f"{where}: 'dataset_shares' are for training; name 'algos', too, or leave it out.")
+    if found.labels is not None and not study.algos:
+        raise UsageError(f"{where}: 'labels' are for learners without rewards; name them in 'algos', too, or leave it out.")
     return study
 
 
@@ -274,6 +281,7 @@ _ALLOWED = {
     "tasks": "it takes a list of tasks, one at least; leave it out for all",
     "algos": "it takes a list of offline algorithms; see cudc-bench list",
     "dataset_shares": "it takes a list of numbers above 0, at most 1",
+    "labels": "it takes a list of whole numbers, 1 or more",
     "stats": "it takes true or false",
     "seeds": 'it takes seeds such as "1-5" or [1, 2, 3]',
     "profile": f"it takes one of {', '.join([*PROFILES, 'auto'])}",

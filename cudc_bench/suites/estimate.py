@@ -114,7 +114,8 @@ def measured_here(profile: str, device: str, output: Path) -> Rates:
         with suppress(RunError):
             record = read_record(path)
             if is_here(record.machine):
-                rates.add("evaluate", record.dataset.domain, record.algorithm, record.seconds, record.final.step)
+                seconds = record.seconds if record.zero_shot is None else record.zero_shot.training_seconds
+                rates.add("evaluate", record.dataset.domain, record.algorithm, seconds, record.final.step)
     return rates
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 from cudc_bench.artefacts.ids import default_id
+from cudc_bench.artefacts.records import LABELS
 from cudc_bench.settings.seeds import format_seeds
 
 from .definition import Suite, SuiteStudy
@@ -28,6 +29,7 @@ class Job:
         tasks: that it labels, or trains for.
         algo: the offline algorithm.
         used: the transitions to train on, None for all.
+        labels: how many of them a learner without rewards is told the rewards of, for each of its records; none for other learners.
         profile: of its suite.
     """
 
@@ -38,6 +40,7 @@ class Job:
     tasks: tuple[str, ...] = ()
     algo: str | None = None
     used: int | None = None
+    labels: tuple[int, ...] = ()
     profile: str = "paper"
 
     @property
@@ -59,7 +62,9 @@ class Job:
         what = [self.kind, *([self.algo] if self.algo else []), self.domain, self.method]
         what += [f"seed {format_seeds(self.seeds)}"] if self.seeds else []
         what += [",".join(self.tasks)] if self.kind == "evaluate" else []
-        return " ".join(what) + ("" if self.used is None else f" first {self.used:,}")
+        what += [f"first {self.used:,}"] if self.used is not None else []
+        what += [f"labels {'+'.join(map(str, self.labels))}"] if self.labels not in ((), (LABELS,)) else []
+        return " ".join(what)
 
     @property
     def slug(self) -> str:
@@ -106,7 +111,7 @@ class JobGraph:
 
 def expand(
     suite: Suite, steps: Mapping[tuple[str, str], int], pilots: Iterable[tuple[str, str]] = (), stacked: bool = False, *,
-    profile: str = "paper",
+    profile: str = "paper", zero_shot: Collection[str] = (),
 ) -> JobGraph:  # fmt: skip
     """The jobs of a suite, each once, whichever of its studies have it.
 
@@ -116,14 +121,15 @@ def expand(
         pilots: (domain, method) whose threshold must be measured first.
         stacked: whether one process trains all seeds, and all tasks, together, as is best on a GPU.
         profile: of all jobs.
+        zero_shot: the algorithms that train without rewards: once for all tasks, on datasets that nobody labels.
     """
     groups = [suite.seeds] if stacked else [(seed,) for seed in suite.seeds]
-    wanted = _Wanted(profile)
+    wanted = _Wanted(profile, frozenset(zero_shot))
     for study in suite.studies:
         for domain in study.domains:
             wanted.add(study, domain, steps)
     needs = wanted.datasets(groups, set(pilots))
-    needs |= wanted.trainings(groups, stacked, [job for job in needs if job.kind == "relabel"])
+    needs |= wanted.trainings(groups, stacked, [job for job in needs if job.kind in ("collect", "relabel")])
     needs |= wanted.comparisons(suite.seeds, [job for job in needs if job.kind == "collect"])
     return JobGraph(needs)
 
@@ -136,14 +142,15 @@ class _Wanted:
 
     Attributes:
         tasks: that datasets of (domain, method) are labelled for.
-        runs: the tasks of each (domain, method, algorithm, transitions).
+        runs: the tasks of each (domain, method, algorithm, transitions, labels).
         compared: the methods of each domain whose datasets are compared.
     """
 
-    def __init__(self, profile: str) -> None:
+    def __init__(self, profile: str, zero_shot: frozenset[str]) -> None:
         self.job = partial(Job, profile=profile)
+        self.zero_shot = zero_shot
         self.tasks: dict[tuple[str, str], dict[str, None]] = {}
-        self.runs: dict[tuple[str, str, str, int | None], dict[str, None]] = {}
+        self.runs: dict[tuple[str, str, str, int | None, tuple[int, ...]], dict[str, None]] = {}
         self.compared: dict[str, dict[str, None]] = {}
 
     def add(self, study: SuiteStudy, domain: str, steps: Mapping[tuple[str, str], int]) -> None:
@@ -151,7 +158,7 @@ class _Wanted:
         tasks = dict.fromkeys(study.tasks_of(domain))
         for method in study.methods:
             labels = self.tasks.setdefault((domain, method), {})
-            if study.algos:
+            if not self.zero_shot.issuperset(study.algos):
                 labels |= tasks
             if study.stats:
                 self.compared.setdefault(domain, {})[method] = None
@@ -159,7 +166,8 @@ class _Wanted:
             for algo in study.algos:
                 for size in (round(share * whole) for share in study.shares):
                     used = None if size == whole else max(1, size)
-                    self.runs.setdefault((domain, method, algo, used), {}).update(tasks)
+                    asked = study.labels if algo in self.zero_shot else ()
+                    self.runs.setdefault((domain, method, algo, used, asked), {}).update(tasks)
 
     def datasets(self, groups: Sequence[tuple[int, ...]], pilots: set[tuple[str, str]]) -> _Needs:
         """The jobs that measure thresholds, collect and label, for groups of seeds."""
@@ -176,14 +184,15 @@ class _Wanted:
                     needs[self.job("relabel", domain, (method,), seeds, tuple(tasks))] = (collect,)
         return needs
 
-    def trainings(self, groups: Sequence[tuple[int, ...]], stacked: bool, relabels: Iterable[Job]) -> _Needs:
-        """The jobs that train, each after the one that labels its datasets."""
-        before = {(job.domain, job.method, job.seeds): job for job in relabels}
+    def trainings(self, groups: Sequence[tuple[int, ...]], stacked: bool, makers: Iterable[Job]) -> _Needs:
+        """The jobs that train, each after the one that makes its datasets."""
+        before = {(job.kind, job.domain, job.method, job.seeds): job for job in makers}
         needs: _Needs = {}
-        for (domain, method, algo, used), tasks in self.runs.items():
+        for (domain, method, algo, used, asked), tasks in self.runs.items():
             for seeds in groups:
-                for some in [tuple(tasks)] if stacked else [(task,) for task in tasks]:
-                    needs[self.job("evaluate", domain, (method,), seeds, some, algo, used)] = (before[domain, method, seeds],)
+                for some in [tuple(tasks)] if stacked or asked else [(task,) for task in tasks]:
+                    made = before["collect" if asked else "relabel", domain, method, seeds]
+                    needs[self.job("evaluate", domain, (method,), seeds, some, algo, used, asked)] = (made,)
         return needs
 
     def comparisons(self, seeds: tuple[int, ...], collects: Sequence[Job]) -> _Needs:

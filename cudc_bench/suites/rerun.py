@@ -63,11 +63,18 @@ class _Case:
     root: Path | None  # of that dataset, where it is not the user's own
 
     @property
+    def asked(self) -> tuple[str, str | None, int | None]:
+        """Which record of its training's it is: by the dataset, and of a learner without rewards by its task and number of labels."""
+        told = self.record.zero_shot
+        return (self.dataset, None, None) if told is None else (self.dataset, self.record.dataset.task, told.labels)
+
+    @property
     def training(self) -> dict[str, Any]:
         """What decides a training but the dataset: cases that share it are trained by one call."""
         record = self.record
-        reward = record.dataset.reward
-        return {
+        reward, told = record.dataset.reward, record.zero_shot
+        labels = {} if told is None else {"labels_from": None if told.source is None else told.source.id}
+        return labels | {
             "algo": record.algorithm, "domain": record.dataset.domain, "profile": record.profile,
             "settings": in_full(record.hyperparameters), "training_seeds": None if record.seed == record.dataset.seed else [record.seed],
             "dataset_sizes": None if record.dataset.used is None else [record.dataset.used],
@@ -159,8 +166,11 @@ def _case(path: Path, record: Record, folder: Path, collect: bool, reward: str |
             f"{path}: its dataset '{data.id}' was imported from {data.source}, and no command can collect it; have it here"
             + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
         )
-    labelled = default_id(data.domain, data.method, data.seed, data.profile).for_task(data.task)
-    return _Case(path, record, True, str(labelled), folder / config_hash(_collection(record))[:12])
+    if record.zero_shot is not None and record.zero_shot.source is not None:
+        raise UsageError(f"{path}: its labels are of another dataset; have the one that it was trained on here, and leave out --collect.")
+    base = default_id(data.domain, data.method, data.seed, data.profile)
+    trained_on = base if record.zero_shot is not None else base.for_task(data.task)
+    return _Case(path, record, True, str(trained_on), folder / config_hash(_collection(record))[:12])
 
 
 def _is_here(record: Record) -> bool:
@@ -232,7 +242,7 @@ def _collect(cases: Sequence[_Case], workers: int | None) -> None:
             seeds = sorted({case.record.dataset.seed for case in some})
             bases = plugins.load("stages", "collect")(seeds=seeds, workers=workers, **wanted)
             for seed, base in zip(seeds, bases, strict=True):
-                mine = [case.record.dataset for case in some if case.record.dataset.seed == seed]
+                mine = [case.record.dataset for case in some if case.record.dataset.seed == seed and case.record.zero_shot is None]
                 if tasks := sorted({data.task for data in mine if data.reward is None}):
                     plugins.load("stages", "relabel")(base, tasks)
                 for own in sorted({data.reward.reference for data in mine if data.reward is not None}):
@@ -253,10 +263,26 @@ def _train(cases: Sequence[_Case], folder: Path, workers: int | None) -> dict[Pa
         with rooted_at(root):
             ids = list(dict.fromkeys(case.dataset for case in some))
             output = folder / "records" / key[:12] / ("here" if root is None else root.name)
-            paths = plugins.load("stages", "evaluate")(dataset_id=ids, output=output, workers=workers, policies=False, **some[0].training)
-        where = dict(zip(ids, paths, strict=True))
-        made |= {case.path: where[case.dataset] for case in some}
+            how = some[0].training | _questions(some)
+            paths = plugins.load("stages", "evaluate")(dataset_id=ids, output=output, workers=workers, policies=False, **how)
+        where = {_asked_in(path): path for path in paths}
+        made |= {case.path: where[case.asked] for case in some}
     return made
+
+
+def _questions(cases: Sequence[_Case]) -> dict[str, Any]:
+    """What one training of a learner without rewards is asked for all of its records; nothing for others."""
+    told = [one for case in cases if (one := case.record.zero_shot) is not None]
+    if not told:
+        return {}
+    tasks = sorted({case.record.dataset.task for case in cases if case.record.dataset.reward is None})
+    return {"labels": sorted({one.labels for one in told}), "tasks": tasks or None}
+
+
+def _asked_in(path: Path) -> tuple[str, str | None, int | None]:
+    record = read_record(path)
+    told = record.zero_shot
+    return (record.dataset.id, None, None) if told is None else (record.dataset.id, record.dataset.task, told.labels)
 
 
 def _mark(case: _Case) -> None:
@@ -294,6 +320,8 @@ def _differences(record: Record, new: Record) -> Iterator[str]:
     # Records from before losses were kept have none to compare.
     if record.metrics:
         yield from _first("losses", {row.step: row.values for row in record.metrics}, {row.step: row.values for row in new.metrics})
+    if record.zero_shot is not None and new.zero_shot is not None and record.zero_shot.norm != new.zero_shot.norm:
+        yield f"the vector of its task (length {record.zero_shot.norm:.6g}, here {new.zero_shot.norm:.6g})"
     if record.conclusion.mean != new.conclusion.mean:
         yield f"the score ({record.conclusion.mean:.6g}, here {new.conclusion.mean:.6g})"
 

@@ -50,7 +50,9 @@ def survey(suite: Suite, common: Common) -> Survey:
     )
     steps = {pair: found[0].total for pair, found in looked.datasets.items()}
     pilots = [pair for pair, found in looked.datasets.items() if found[0].needs_pilot]
-    plan = expand(suite, steps, pilots, stacked=common.device == "cuda", profile=common.profile)
+    algos = dict.fromkeys(algo for study in suite.studies for algo in study.algos)
+    zero_shot = [algo for algo in algos if not getattr(plugins.load("evaluators", algo), "learns_from_rewards", True)]
+    plan = expand(suite, steps, pilots, stacked=common.device == "cuda", profile=common.profile, zero_shot=zero_shot)
     states = {job: looked.state(job) for job in plan.needs}
     return Survey(plan, frozenset(job for job, (done, _) in states.items() if done), {job: total for job, (_, total) in states.items()})
 
@@ -92,6 +94,6 @@ class _Looked:
         common = self._common
         records = self._plan_evaluate(
             job.algo, job.domain, job.tasks, job.method, job.seeds, profile=common.profile, settings=common.evaluate, used=job.used,
-            output=common.output, collected=self.datasets[job.domain, job.method][0].overrides,
+            output=common.output, collected=self.datasets[job.domain, job.method][0].overrides, labels=job.labels or None,
         )  # fmt: skip
         return all(one.done for one in records), records[0].total

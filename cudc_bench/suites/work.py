@@ -117,8 +117,12 @@ def _relabel(job: Job, common: Common) -> None:
 def _evaluate(job: Job, common: Common) -> None:
     for base in job.datasets:
         check_same(parse_id(base), common)
+    if job.labels:
+        data: dict[str, Any] = {"dataset_id": list(job.datasets), "tasks": job.tasks, "labels": job.labels}
+    else:
+        data = {"dataset_id": [str(parse_id(base).for_task(task)) for base in job.datasets for task in job.tasks]}
     plugins.load("stages", "evaluate")(
-        job.algo, job.domain, dataset_id=[str(parse_id(base).for_task(task)) for base in job.datasets for task in job.tasks],
+        job.algo, job.domain, **data,
         profile=common.profile, settings=common.evaluate, dataset_sizes=None if job.used is None else [job.used],
         output=common.output, device=common.device, engine=common.engine, checkpoint_every=common.checkpoint_every,
     )  # fmt: skip
@@ -164,18 +168,18 @@ def check_same(base: DatasetId, common: Common) -> None:
     Raises:
         RunError: it did.
     """
-    for labelled in _labelled(base):
-        manifest = read_manifest(labelled)
-        for path in sorted((common.output / common.profile / str(labelled)).glob("*.json")):
-            try:
-                dataset = read_record(path).dataset
-            except RunError:
-                continue  # whoever needs that record says so
-            if dataset.id == str(labelled) and dataset.fingerprint != manifest.fingerprint:
-                raise RunError(
-                    f"'{labelled}' has other data now (fingerprint {manifest.fingerprint[:12]}) than when {path} was made of it"
-                    f" ({dataset.fingerprint[:12]}): another machine or other versions collected it. Take another --output."
-                )
+    now = {str(one): read_manifest(one).fingerprint for one in (base, *_labelled(base))}
+    # A record lies by its task, also that of a learner without rewards, which was made of the base itself.
+    for path in sorted((common.output / common.profile / base.namespace).glob(f"*/{base.name}-v{base.version}/*.json")):
+        try:
+            dataset = read_record(path).dataset
+        except RunError:
+            continue  # whoever needs that record says so
+        if now.get(dataset.id, dataset.fingerprint) != dataset.fingerprint:
+            raise RunError(
+                f"'{dataset.id}' has other data now (fingerprint {now[dataset.id][:12]}) than when {path} was made of it"
+                f" ({dataset.fingerprint[:12]}): another machine or other versions collected it. Take another --output."
+            )
 
 
 def _labelled(base: DatasetId) -> list[DatasetId]:

@@ -303,7 +303,7 @@ def _target(run: Run, path: Path, execution: Execution) -> LogTarget | None:
 def plan_evaluate(
     algo: str, domain: str, tasks: Sequence[str] | None, method: str, seeds: Sequence[int], *, profile: str,
     settings: Mapping[str, Any] | None = None, used: int | None = None, output: str | Path = "results",
-    collected: Mapping[str, Any] | None = None, training_seeds: Sequence[int] | None = None,
+    collected: Mapping[str, Any] | None = None, training_seeds: Sequence[int] | None = None, labels: Sequence[int] | None = None,
 ) -> list[Planned]:  # fmt: skip
     """What :func:`evaluate` would make with the same arguments, for each seed, task and training seed; nothing is written, and no dataset
     need exist.
@@ -311,7 +311,7 @@ def plan_evaluate(
     A record whose dataset is gone counts if it says that its dataset was collected like this.
 
     Args:
-        algo, domain, tasks, method, seeds, profile, settings, output, training_seeds: as for :func:`evaluate`.
+        algo, domain, tasks, method, seeds, profile, settings, output, training_seeds, labels: as for :func:`evaluate`.
         used: the number of transitions to train on, if not all.
         collected: hyperparameters of the collection that differ from the profile.
 
@@ -324,23 +324,28 @@ def plan_evaluate(
     results = check_folder(output, "the output")
     found = []
     for seed in check_seeds(seeds):
+        base = default_id(domain, method, seed, chosen.name)
         for task in check_tasks(check_domain(domain), tasks):
-            one = default_id(domain, method, seed, chosen.name).for_task(task)
-            for training_seed in (seed,) if training_seeds is None else check_seeds(training_seeds):
-                path = record_path(results, str(one), algo, seed, chosen.name, used, training_seed)
-                if exists(one):
-                    run = Run(plan, str(one), read_manifest(one), used, training_seed, results)
-                    # What a process left that was killed just after it had written the record is removed by whoever keeps that.
-                    done = run.is_done() and not run.is_untidy()
-                else:
-                    made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
-                    done = is_recorded(path, plan, used, training_seed, partial(_is_of, made))
-                found.append(Planned(str(path), seed, plan.loop.gradient_steps, done, plan.overrides))
+            one = base if plan.is_zero_shot else base.for_task(task)
+            for count in check_labels(labels) if plan.is_zero_shot else (None,):
+                questions = () if count is None else (Question(task, count),)
+                for training_seed in (seed,) if training_seeds is None else check_seeds(training_seeds):
+                    path = record_path(results, str(base.for_task(task)), algo, seed, chosen.name, used, training_seed, count)
+                    if exists(one):
+                        run = Run(plan, str(one), read_manifest(one), used, training_seed, results, questions)
+                        # What a process left that was killed just after it had written the record is removed by whoever keeps that.
+                        done = run.is_done() and not run.is_untidy()
+                    else:
+                        made = (str(one), domain, task, method, seed, chosen.name, dict(collected or {}), None, None)
+                        done = is_recorded(path, plan, used, training_seed, partial(_is_of, made, count))
+                    found.append(Planned(str(path), seed, plan.loop.gradient_steps, done, plan.overrides))
     return found
 
 
-def _is_of(made: tuple[Any, ...], record: Record) -> bool:
-    dataset = record.dataset
+def _is_of(made: tuple[Any, ...], labels: int | None, record: Record) -> bool:
+    dataset, told = record.dataset, record.zero_shot
+    if (None if told is None else (told.labels, told.source)) != (None if labels is None else (labels, None)):
+        return False
     there = (
         dataset.id, dataset.domain, dataset.task, dataset.method, dataset.seed, dataset.profile, dataset.overrides, dataset.reward,
         dataset.source,

@@ -19,8 +19,6 @@ from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones
 from cudc_bench.settings.profiles import Profile
 from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
 
-from ..zero_shot import ZeroShotLearner
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -48,7 +46,7 @@ class Plan:
     @property
     def is_zero_shot(self) -> bool:
         """Whether it trains without rewards, and is told of tasks afterwards."""
-        return issubclass(self.kind, ZeroShotLearner)
+        return not self.kind.learns_from_rewards
 
 
 def make_plans(algos: Sequence[str], profile: Profile, settings: dict[str, Any], steps: int | None) -> list[Plan]:

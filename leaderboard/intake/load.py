@@ -71,7 +71,7 @@ def load_records(paths: Iterable[Path]) -> Loaded:
         # Whoever hands in a run never takes the place of another's.
         by = "" if record.submission is None else record.submission.by
         digests[id(record)] = digest
-        run = (record.group, record.dataset.id, record.algorithm, record.seed, by)
+        run = (record.group, record.labelled_id, record.algorithm, record.seed, by)
         if run not in kept:
             kept[run] = (path, record)
             continue

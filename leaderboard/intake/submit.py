@@ -24,7 +24,7 @@ from cudc_bench.artefacts.commands import LONGEST, parse_command, settings_that_
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import IMPORTED_PROFILE
 from cudc_bench.artefacts.provenance import knows_commit
-from cudc_bench.artefacts.records import Record, Submission, parse_record, read_content, record_path, settings_text, to_json
+from cudc_bench.artefacts.records import LABELS, Record, Submission, parse_record, read_content, record_path, settings_text, to_json
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.envs.registry import check_domain, check_tasks
 from cudc_bench.errors import CudcBenchError, RunError, UsageError, nearest
@@ -49,6 +49,7 @@ _MOST_ENTRIES, _LONGEST_ENTRY, _MOST_ROWS = 200, 1_000, 10_000
 _OF_DATA = frozenset({"domain", "method", "seeds", "tasks"})
 _DECISIVE = _OF_DATA | {
     "algo", "profile", "settings", "precision", "training_seeds", "steps", "dataset_id", "dataset_size", "reward",
+    "labels", "labels_from",
     "overwrite", "device", "engine", "workers", "policy", "fresh", "checkpoint_every",
 }  # fmt: skip
 
@@ -176,12 +177,13 @@ def _place(results: Path, record: Record) -> Path:
     folder = record.profile if record.group == record.profile else f"{record.profile}-{config_hash({'group': record.group})[:8]}"
     return record_path(
         results / FOLDER / record.submission.by,
-        record.dataset.id,
+        record.labelled_id,
         record.algorithm,
         record.dataset.seed,
         folder,
         record.dataset.used,
         record.seed,
+        None if record.zero_shot is None else record.zero_shot.labels,
     )
 
 
@@ -303,6 +305,10 @@ def _about_command(record: Record) -> Iterator[str]:
         expected["dataset_id"] = data.id
     elif data.source is not None or data.overrides:
         yield "its command names no --dataset-id, and would collect another dataset."
+    if (asked := record.zero_shot) is not None:
+        expected["labels_from"] = None if asked.source is None else asked.source.id
+        if "labels" in command.given or asked.labels != LABELS:
+            expected["labels"] = asked.labels
     if "training_seeds" in command.given or record.seed != data.seed:
         expected["training_seeds"] = record.seed
     everything = {"precision": "float32"} | in_full(record.hyperparameters)
@@ -317,6 +323,10 @@ def _about_command(record: Record) -> Iterator[str]:
 def _about_settings(record: Record, profile: Profile, loop: EvaluateConfig) -> Iterator[str]:
     """Whether what differs from the profile is what the record says: it decides which table a record belongs to."""
     usual = _usual(record.algorithm, profile, loop)
+    if record.algorithm in plugins.names("evaluators"):
+        rewarded = getattr(plugins.load("evaluators", record.algorithm), "learns_from_rewards", True)
+        if rewarded != (record.zero_shot is None):
+            yield f"{record.algorithm} trains {'on' if rewarded else 'without'} rewards, and its record says otherwise."
     if record.algorithm in plugins.names("evaluators") and (unknown := sorted(record.hyperparameters.keys() - usual.keys())):
         yield f"{record.algorithm} has no hyperparameter called {', '.join(unknown)}."
     for name, value in record.hyperparameters.items():

@@ -313,7 +313,7 @@ def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
     found = Counter(_milestones(record) for record in ours or records)
     most = max(found, key=lambda milestones: (found[milestones], milestones))
     odd = [
-        f"{record.dataset.id} (seed {record.seed}) is left out: its milestones {_listed(_milestones(record))} are not the"
+        f"{record.labelled_id} (seed {record.seed}) is left out: its milestones {_listed(_milestones(record))} are not the"
         f" table's {_listed(most)}."
         for record in records
         if _milestones(record) != most
@@ -323,7 +323,7 @@ def _agree(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
 
 def _doubts(records: Sequence[Record]) -> list[str]:
     problems = [
-        f"{record.dataset.id} (seed {record.seed}) was not evaluated at milestone {milestone}."
+        f"{record.labelled_id} (seed {record.seed}) was not evaluated at milestone {milestone}."
         for record in records
         for milestone in _milestones(record)
         if record.score(milestone) is None

@@ -180,7 +180,7 @@ def line_swatch(style: Mapping[str, Any]) -> Markup:
 
 def run_of(record: Record) -> Run:
     """What tells a record from others."""
-    return record.group, record.dataset.id, record.algorithm, record.seed, record.submission.by if record.submission else ""
+    return record.group, record.labelled_id, record.algorithm, record.seed, record.submission.by if record.submission else ""
 
 
 def brief(text: str) -> str:
