@@ -138,10 +138,10 @@ class ZeroShot(Strict):
     records: Annotated[int, Field(ge=1)]
     training_seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-    @property
-    def changes(self) -> list[str]:
-        """What keeps its record from tables of those with the usual labels."""
-        usual = [] if self.labels == LABELS else [f"{self.labels:,} labels"]
+    def changes(self, labels: int | None = None) -> list[str]:
+        """What keeps its record, or that of as many labels as are named, from tables of those with the usual labels."""
+        count = labels or self.labels
+        usual = [] if count == LABELS else [f"{count:,} labels"]
         return usual if self.source is None else [*usual, f"labels of {self.source.id} {self.source.fingerprint[:8]}"]
 
 
@@ -304,7 +304,12 @@ class Record(Strict):
         """The group of the same run on all of the dataset: equal for records that differ in nothing but how much of it they used."""
         return self._group(None)
 
-    def _group(self, used: int | None) -> str:
+    @property
+    def group_of_all_labels(self) -> str:
+        """The group of the same run with the usual labels: equal for records that differ in nothing but their number."""
+        return self._group(self.dataset.used, LABELS)
+
+    def _group(self, used: int | None, labels: int | None = None) -> str:
         changes = []
         if self.dataset.profile != self.profile and self.dataset.source is None:
             changes.append(f"collected at {self.dataset.profile}")
@@ -314,7 +319,7 @@ class Record(Strict):
         if used is not None:
             changes.append(f"first {used:,} transitions")
         if self.zero_shot is not None:
-            changes += self.zero_shot.changes
+            changes += self.zero_shot.changes(labels)
         for stage, overrides in (("collect", self.dataset.overrides), ("evaluate", self.settings)):
             if overrides:
                 changes.append(f"{stage}: {settings_text(overrides)}")

@@ -67,7 +67,7 @@ class Intervals:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Scores over dataset sizes, a panel for each task and one for their mean, a line for each method.
+    """Scores over dataset sizes, or over other amounts, a panel for each task and one for their mean, a line for each method.
 
     Attributes:
         group, algorithm, domain: which; ``group`` on one line.
@@ -78,6 +78,7 @@ class Sizes:
         seeds: how many there are, in words.
         references: of the whole datasets' profile, by task; they serve every size, since neither random actions nor an agent that is
             trained online is trained on a part of anything.
+        unit: of the sizes, in the plural.
     """
 
     group: str
@@ -91,6 +92,12 @@ class Sizes:
     scores: Mapping[tuple[int, str], Entry] = field(repr=False)
     seeds: str
     references: References = field(default_factory=dict, repr=False)
+    unit: str = "transitions"
+
+    @property
+    def subject(self) -> str:
+        """What it shows, in two words."""
+        return "Sample efficiency" if self.unit == "transitions" else f"Returns by {self.unit}"
 
 
 Figure = Curves | Bars | Bounds | Intervals | Sizes

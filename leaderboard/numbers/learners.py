@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
+
+import numpy as np
 
 from ..methods import LEARNER_ORDER, METHOD_ORDER
 from .columns import column, is_own
@@ -12,12 +15,14 @@ from .figures import Intervals
 from .grid import Column, Entry, Grid, Line, Part
 from .missing import Wanted
 from .overall import ALL, LEAD, Comparison, Estimate, Overall, Standing, unit_of
+from .statistics import paired_share, paired_share_interval
 from .study import Study, known_tasks
 from .study_specs import STUDY_METHODS
 from .table import Block
 from .words import group_slug, ordered, short
 
 _STATISTICS = {"mean": "Mean", "iqm": "IQM"}
+_BASIS = "td3"  # that others without rewards are measured by
 _FEWEST = 3  # Of two methods every ranking agrees or is turned round.
 # By scope and milestone, and then by learner.
 _Parts = Mapping[tuple[str, int], Mapping[str, Comparison]]
@@ -47,7 +52,17 @@ def _study(slug: str, learners: Mapping[str, Overall], blocks: Sequence[Block]) 
         for (scope, milestone), found in kept.items()
         if len({one.tasks for one in found.values()}) > 1
     ]
-    tables = [_values(statistic, title, names, kept, places) for statistic, title in _STATISTICS.items()]
+    # What was trained on a task and what was told of it afterwards are not compared as columns of one table.
+    untold = {block.algorithm for block in own if block.is_zero_shot}
+    kinds = [[name for name in names if name not in untold], [name for name in names if name in untold]]
+    tables = [
+        _values(statistic, title, kind, kept, places, told)
+        for kind, told in zip(kinds, ("", "zero-shot-" if kinds[0] else ""), strict=True)
+        if kind
+        for statistic, title in _STATISTICS.items()
+    ]
+    if _BASIS in names and untold:
+        tables.append(_efficiency(kinds[1], kept, places))
     agreement = _agreement(kept)
     if agreement.parts:
         tables.append(agreement)
@@ -92,9 +107,12 @@ def _tasks(found: Mapping[str, Comparison]) -> str:
     return ", ".join(f"{name} has {len(comparison.tasks)}" for name, comparison in found.items())
 
 
-def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, places: Mapping[tuple[str, str], Block]) -> Grid:
+def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, places: Mapping[tuple[str, str], Block], prefix: str) -> Grid:
     shown = []
-    for (scope, milestone), found in parts.items():
+    for (scope, milestone), every_one in parts.items():
+        found = {name: one for name, one in every_one.items() if name in names}
+        if not found:
+            continue
         methods = ordered({method for one in found.values() for method in one.methods}, METHOD_ORDER)
         standings = {name: {standing.method: standing for standing in one.standings} for name, one in found.items()}
         lines = []
@@ -109,8 +127,8 @@ def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, pla
         shown.append(Part(f"{scope}, {short(milestone)} steps", f"{scope}, {milestone}", tuple(lines)))
     every = [one for found in parts.values() for one in found.values()]
     return Grid(
-        name=statistic,
-        title=f"{title} by learner",
+        name=f"{prefix}{statistic}",
+        title=f"{title} by learner{' without rewards' if prefix else ''}",
         caption=f"{title} over tasks and collector seeds of {unit_of(every)}, as in each learner's own comparison over tasks (overall.md"
         " says what enters). In square brackets: 95 % intervals by Student's t over datasets; in brackets the number of seeds.",
         split="scope",
@@ -118,6 +136,54 @@ def _values(statistic: str, title: str, names: Sequence[str], parts: _Parts, pla
         columns=tuple(Column(name, 3) for name in names),
         parts=tuple(shown),
     )
+
+
+def _efficiency(names: Sequence[str], parts: _Parts, places: Mapping[tuple[str, str], Block]) -> Grid:
+    """What learners without rewards reach of what TD3 reaches that was trained on each task."""
+    shown = []
+    for (scope, milestone), found in parts.items():
+        basis = found.get(_BASIS)
+        having = [name for name in names if name in found and basis is not None and found[name].tasks == basis.tasks]
+        if basis is None or not having:
+            continue
+        whole = {one.method: one for one in basis.standings}
+        own = {name: {one.method: one for one in found[name].standings} for name in having}
+        methods = [one for one in ordered(set(whole), METHOD_ORDER) if any(one in standings for standings in own.values())]
+        lines = [
+            Line((method,), tuple(_share(own[name].get(method), whole[method], found[name], places, name) if name in own else None
+                                  for name in names))
+            for method in methods
+        ]  # fmt: skip
+        shown.append(Part(f"{scope}, {short(milestone)} steps", f"{scope}, {milestone}", tuple(lines)))
+    return Grid(
+        name="efficiency",
+        title=f"Share of what {_BASIS} reaches",
+        caption=f"The mean over tasks of a learner's mean score, divided by that of {_BASIS}, which was trained on each task, on the same"
+        f" datasets. 1: being told of a task afterwards costs nothing. In square brackets: 95 % intervals by Student's t over datasets, the"
+        " pairs of whose scores are left out together; in brackets the number of datasets.",
+        split="scope",
+        head=("method",),
+        columns=tuple(Column(name, 2) for name in names),
+        parts=tuple(shown),
+    )
+
+
+def _share(
+    standing: Standing | None, basis: Standing, comparison: Comparison, places: Mapping[tuple[str, str], Block], learner: str
+) -> Entry | None:
+    """A method's share, over the datasets that both learners were trained on; None where there is none, or where nothing was reached."""
+    if standing is None:
+        return None
+    groups = []
+    for index, (domain, seeds) in enumerate(standing.seeds.items()):
+        common = [seed for seed in seeds if seed in basis.seeds[domain]]
+        rows = [standing.scores[index][[seeds.index(seed) for seed in common]]]
+        rows.append(basis.scores[index][[basis.seeds[domain].index(seed) for seed in common]])
+        groups.append(np.hstack(rows))
+    if min(map(len, groups)) == 0 or (value := paired_share(groups)) is None:
+        return None
+    entry = _entry(standing, comparison, places, learner, standing.estimates[LEAD])
+    return replace(entry, value=value, interval=paired_share_interval(groups), n=min(map(len, groups)))
 
 
 def _entry(standing: Standing, comparison: Comparison, places: Mapping[tuple[str, str], Block], learner: str, estimate: Estimate) -> Entry:

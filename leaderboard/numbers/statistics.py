@@ -210,6 +210,33 @@ def relative_interval(x: Floats, y: Floats) -> Interval | None:
     return None if spread is None else spread.interval(value)
 
 
+def paired_share(groups: Scores) -> float | None:
+    """The mean over tasks of the ratios of means of two learners on the same datasets: (n, 2 T) each, the first T columns those of the one
+    whose share it is.
+
+    None if a mean of the other is not above 0: there is no share of it.
+    """
+    halves = [np.split(group.mean(0), 2) for group in groups]
+    over, below = (np.concatenate(side) for side in zip(*halves, strict=True))
+    return float((over / below).mean()) if (below > 0).all() else None
+
+
+def paired_share_interval(groups: Scores) -> Interval | None:
+    """The 95 % interval of :func:`paired_share`.
+
+    None if a group has a single dataset, or if without one of them a mean is not above 0, so that the share has no bound.
+    """
+    value = paired_share(groups)
+    without = [
+        paired_share([np.delete(one, row, 0) if one is group else one for one in groups])
+        for group in groups if len(group) > 1 for row in range(len(group))
+    ]  # fmt: skip
+    if value is None or min(map(len, groups)) < 2 or any(one is None for one in without):
+        return None
+    spread = jackknife(groups, lambda parts: paired_share(parts) or 0.0)
+    return None if spread is None else spread.interval(value)
+
+
 def student(mean: float, std: float, n: int) -> Interval:
     """The 95 % interval of a mean over n > 1 seeds by Student's t, from their sample standard deviation."""
     return Spread(std**2 / n, n - 1).interval(mean)

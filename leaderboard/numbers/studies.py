@@ -24,7 +24,7 @@ from .missing import Wanted
 from .overall import Overall
 from .published import CITATION, MEAN, beside, caption, reported_relative, scale
 from .scale import LABELS, references_caption
-from .sizes import build_sizes
+from .sizes import LABEL_BUDGETS, build_sizes
 from .study import SCORE, Study, alias_notes, known_tasks, of_seeds, reference_lines, scales_of, score_entry, score_matrix, scored_grid
 from .study_specs import SPECS, StudySpec
 from .table import ENOUGH_SEEDS, Block, Runs, build_cell, mark_best
@@ -49,11 +49,11 @@ def build_studies(blocks: Sequence[Block], overall: Sequence[Overall]) -> list[S
         overall: as ``build_overall`` makes them of the same records.
 
     Returns:
-        By domain, algorithm and group in the order of :data:`~.study_specs.SPECS`; then those of dataset sizes, of learners, and of
+        By domain, algorithm and group in the order of :data:`~.study_specs.SPECS`; then those of sizes, labels, learners, and of
         variance between datasets and between trainings.
     """
     found = [study for block in blocks for spec in SPECS if (study := _of_spec(block, spec)) is not None]
-    return [*found, *build_sizes(blocks), *build_learners(blocks, overall), *build_components(blocks)]
+    return [*found, *build_sizes(blocks), *build_sizes(blocks, LABEL_BUDGETS), *build_learners(blocks, overall), *build_components(blocks)]
 
 
 def _of_spec(block: Block, spec: StudySpec) -> Study | None:

@@ -62,6 +62,11 @@ class Block:
         return ordered({task for _, task in self.records}, tasks_of(self.domain))
 
     @property
+    def is_zero_shot(self) -> bool:
+        """Whether its learner trained without rewards, and was told of tasks afterwards."""
+        return any(one.zero_shot is not None for found in self.records.values() for one in found)
+
+    @property
     def slug(self) -> str:
         """A safe and unique name for files."""
         return slug(self.group, self.algorithm, self.domain)

@@ -175,7 +175,7 @@ def captions(figure: figures.Figure) -> str:
             return f"{figure.title}."
         case figures.Sizes():
             scores = "; of the mean score: 95 %" if figure.scores else ""
-            return f"Sample efficiency after {short(figure.milestone)} steps: {seeds_text(figure.seeds)}{scores}."
+            return f"{figure.subject} after {short(figure.milestone)} steps: {seeds_text(figure.seeds)}{scores}."
 
 
 def references_of(figure: figures.Figure) -> References:
@@ -213,7 +213,7 @@ def milestone_styles(milestones: Sequence[int]) -> dict[str, dict[str, Any]]:
 
 def _sizes(shown: figures.Sizes, look: Styles) -> tuple[Markup, ...]:
     low, high = shown.sizes[0], shown.sizes[-1]
-    across = drawing.logarithmic(low / 1.15, high * 1.15, {size: short(size) for size in _apart(shown.sizes)}, "transitions")
+    across = drawing.logarithmic(low / 1.15, high * 1.15, {size: short(size) for size in _apart(shown.sizes)}, shown.unit)
     panels = []
     for task in shown.tasks:
         lines = []

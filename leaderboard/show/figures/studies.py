@@ -56,7 +56,7 @@ def draw_sizes(sizes: Sizes) -> Figure:
     over the domain's tasks, band: 95 % intervals by Student's t. A single seed is a thin line."""
     shown = styles(sizes.methods)
     title = (
-        f"Sample efficiency: {sizes.algorithm} on {sizes.domain}, profile {sizes.group}, {short(sizes.milestone)} steps:"
+        f"{sizes.subject}: {sizes.algorithm} on {sizes.domain}, profile {sizes.group}, {short(sizes.milestone)} steps:"
         f" {seeds_text(sizes.seeds)}{'; of the mean score: 95 %' if sizes.scores else ''}"
     )
     count = len(sizes.tasks) + bool(sizes.scores)
@@ -104,7 +104,7 @@ def _sizes_axis(panel: Axes, sizes: Sizes) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     panel.set_xscale("log")
-    panel.set_xlabel("transitions")
+    panel.set_xlabel(sizes.unit)
     panel.xaxis.set_major_locator(FixedLocator(_apart(sizes.sizes)))
     panel.xaxis.set_minor_locator(NullLocator())
     panel.xaxis.set_major_formatter(FuncFormatter(lambda size, _: short(size)))
