@@ -196,6 +196,7 @@ class Table:
             " correction within the row; a single seed cannot be tested)."
             f" Profile: {self.group}. {self.seeds}. Evaluation episodes: {episodes}."
             + references_caption(self.references, self.tasks)
+            + zero_shot_caption(self.records)
             + (f" Tasks of {self.domain} without any run: {', '.join(unasked)}." if unasked else "")
             + (" A source and a number of steps behind a method: that dataset was imported, not collected here." if imported else "")
             + (f" Another name of the same setting: {', '.join(aliases)}." if aliases else "")
@@ -257,6 +258,14 @@ def tables_of(blocks: Iterable[Block], studies: bool = False) -> list[Table]:
     """The main table of each block that has methods for one; with ``studies`` that of the methods that exist for studies only."""
     chosen = [(block, [name for name in block.methods if (name in STUDY_METHODS) == studies]) for block in blocks]
     return [_build(block, methods, marked=not studies) for block, methods in chosen if methods]
+
+
+def zero_shot_caption(records: Iterable[Record]) -> str:
+    """How learners without rewards were told of their tasks, as a caption goes on."""
+    told = sorted({one.zero_shot.labels for one in records if one.zero_shot is not None})
+    if not told:
+        return ""
+    return f" Trained without rewards, once for all tasks of a dataset, and told of each by the rewards of {told[0]:,} of its transitions."
 
 
 def tasks_of(domain: str) -> tuple[str, ...]:

@@ -92,6 +92,7 @@ class Runs(Parts):
                 facts.append((f"returns at {short(milestone)}", Item(", ".join(f"{value:.1f}" for value in found.returns))))
         facts += [
             ("training", Item(f"{record.seconds:,.0f} seconds, seed {record.seed}, hyperparameters {brief(record.hyperparameters_hash)}")),
+            *_told(record),
             ("machine", Item(machine_text(record) or MISSING)),
             ("code", Item(f"cudc-bench {version(record, 'cudc-bench')}, {commit(record)}")),
             ("origin", Item(origin(record))),
@@ -102,6 +103,17 @@ class Runs(Parts):
         return Section(
             f"Collector seed {record.dataset.seed}, training seed {record.seed}", id=anchor, facts=tuple(facts), code=_again(record)
         )
+
+
+def _told(record: Record) -> list[tuple[str, Item]]:
+    """How a learner without rewards was told of the task."""
+    told = record.zero_shot
+    if told is None:
+        return []
+    source = "" if told.source is None else f" of {told.source.id}"
+    which = f"{told.drawn:,} transitions{source}, {told.rewarded:.1%} of them with a reward; {told.rule}, of length {told.norm:.4g}"
+    shared = f"{told.training}, of {told.training_seconds:,.0f} seconds and {span([told.records], 'record')}"
+    return [("told of the task by", Item(which)), ("its training", Item(shared))]
 
 
 def _again(record: Record) -> tuple[tuple[str, str], ...]:

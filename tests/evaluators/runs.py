@@ -55,7 +55,7 @@ def write_run(folder, name="td3", domain="walker", task="walk", seed=1, returns=
     path = folder / f"{name}-seed{seed}.json"
     folder.mkdir(parents=True, exist_ok=True)
     write_record(path, record)
-    save_policy(agent, 0, path)
+    save_policy(agent.policy, 0, path)
     return path, agent
 
 

@@ -361,7 +361,7 @@ def test_policies_are_for_the_member_that_they_belong_to(smoke, tmp_path):
 
     ((path, _),) = evaluated(tmp_path, algo="td3")
     agent = make("td3", (5, 1))
-    save_policy(agent, 1, path)
+    save_policy(agent.policy, 1, path)
     observation = torch.randn(3, 24)
     policy = load_policy(path)
     torch.testing.assert_close(policy(observation), agent.act(observation.expand(2, -1, -1))[1])

@@ -71,7 +71,9 @@ def test_all_shares_what_its_studies_share() -> None:
     assert kinds["evaluate"] == 5 * (4 * len(walker) + 8 * 6 + 3 * 4 * 6 + 4 * 6)
     assert kinds["stats"] == 1
     assert len({job.name for job in found.needs}) == len({job.slug for job in found.needs}) == len(found.needs)
-    assert set(suite_names()) == {"all", "controls", "readings", "main", "dataset-size", "cql", "density", *studies}
+    assert set(suite_names()) == {
+        "all", "controls", "readings", "main", "dataset-size", "cql", "density", "zero-shot", "labels", *studies,
+    }  # fmt: skip
 
 
 def test_a_plan_is_in_an_order_in_which_it_can_be_done() -> None:
