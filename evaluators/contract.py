@@ -67,21 +67,34 @@ def batch_for(agent: Any, observation: int = 24, action: int = 6, size: int = 32
                 torch.randn(size, observation, generator=g),
                 torch.rand(size, generator=g),
                 torch.rand(size, action, generator=g) * 2 - 1,
+                torch.randn(size, observation, generator=g),
+                torch.randn(size, observation, generator=g),
             )
         )
-    s, a, following, r, a_next = (torch.stack(values) for values in zip(*parts, strict=True))
-    return Batch(s, a, following, torch.ones(len(agent.seeds), dtype=torch.int64), r, measure, next_action=a_next)
+    s, a, following, r, a_next, later, other = (torch.stack(values) for values in zip(*parts, strict=True))
+    return Batch(
+        s, a, following, torch.ones(len(agent.seeds), dtype=torch.int64), r, measure, next_action=a_next, future_observation=later,
+        other_observation=other,
+    )  # fmt: skip
+
+
+def rows_of(batch: Batch, first: int) -> Batch:
+    """A batch of the members from ``first`` on alone."""
+    own: dict[str, Any] = {key: value[first:] if isinstance(value, torch.Tensor) else value for key, value in vars(batch).items()}
+    return Batch(**own | {"cache": {}})
 
 
 def low_variety(batch: Batch, scale: float, kinds: int = 6) -> Batch:
     """A batch of a few transitions only, each many times; the first member's observations and rewards are ``scale`` times as large."""
-    assert batch.reward is not None
-    assert batch.next_action is not None
     rows, factor = torch.arange(batch.observation.shape[1]) % kinds, torch.ones(len(batch.observation), 1, 1)
     factor[0] = scale
     few = copy.copy(batch)
-    few.observation, few.next_observation = batch.observation[:, rows] * factor, batch.next_observation[:, rows] * factor
-    few.action, few.next_action, few.reward = batch.action[:, rows], batch.next_action[:, rows], batch.reward[:, rows] * factor[..., 0]
+    for name in ("observation", "next_observation", "future_observation", "other_observation"):
+        setattr(few, name, getattr(batch, name)[:, rows] * factor)
+    for name in ("action", "next_action"):
+        setattr(few, name, getattr(batch, name)[:, rows])
+    assert batch.reward is not None
+    few.reward = batch.reward[:, rows] * factor[..., 0]
     return few
 
 
@@ -217,11 +230,8 @@ class EvaluatorContract:
             if step >= 10:
                 # What is drawn from all members, such as a maximum or a mean, is now the first one's, or the second one's.
                 batch = low_variety(batch, (0.1, 10.0)[step % 2])
-            assert batch.reward is not None
-            assert batch.next_action is not None
             metrics = together.update(batch)
-            own = (batch.observation[1:], batch.action[1:], batch.next_observation[1:], batch.horizon[1:], batch.reward[1:])
-            for key, value in alone.update(Batch(*own, measure=True, next_action=batch.next_action[1:])).items():
+            for key, value in alone.update(rows_of(batch, 1)).items():
                 torch.testing.assert_close(
                     metrics[key][1:], value, atol=2e-4, rtol=2e-3,
                     msg=_differs(key, step),
@@ -248,8 +258,7 @@ class EvaluatorContract:
         for step in range(6):
             batch = batch_for(together, action=action, size=128, seed=step)
             together.update(batch)
-            own: dict[str, Any] = {key: value[2:] if isinstance(value, torch.Tensor) else value for key, value in vars(batch).items()}
-            alone.update(Batch(**own | {"cache": {}}))
+            alone.update(rows_of(batch, 2))
         state = alone.state_dict()
         for key, value in together.state_dict()["networks"].items():
             same = torch.equal(value.chunk(3)[2], state["networks"][key])
@@ -272,7 +281,9 @@ class EvaluatorContract:
                 data.add(0, torch.randn(41, 24, generator=g), torch.rand(40, 6, generator=g))
             data.rewards = torch.rand(2, 120, generator=g)
             horizon = torch.ones(2, dtype=torch.int64)
-            updates = Updater(agent, lambda m: data.sample(32, horizon, m, next_action=agent.wants_next_action), random, graph)
+            updates = Updater(
+                agent, lambda m: data.sample(32, horizon, m, next_action=agent.wants_next_action, future=agent.wants_future), random, graph
+            )
             seen: list[str] = []
             places: list[list[int]] = []
             # Some move their actors in every second update only: two plans.

@@ -16,7 +16,7 @@ from .zero_shot import (
     ConditionedActor,
     ForwardMap,
     Labelled,
-    ZeroShotConfig,
+    NoisyZeroShotConfig,
     ZeroShotLearner,
     features,
     normalised,
@@ -27,25 +27,26 @@ from .zero_shot import (
 
 
 @dataclass(frozen=True)
-class FBConfig(ZeroShotConfig):
+class FBConfig(NoisyZeroShotConfig):
     """The values of controllable_agent, Touati et al.'s code for ExORL's data.
 
     Attributes:
-        backward_width: of the hidden layers of B.
+        feature_width: of the hidden layers of B.
         ortho: weight of B's orthonormality.
         shared_embeddings: whether both forward maps have their embeddings in common.
     """
 
-    backward_width: PositiveInt = 526
+    feature_width: PositiveInt = 526
     ortho: NonNegativeFloat = 1.0
     shared_embeddings: bool = True
 
 
 class FB(ZeroShotLearner):
-    """F(s, z, a)ᵀ B(s') is the successor measure of π(·, z), which maximises F(s, z, a)ᵀ z.
+    """F(s, z, a)ᵀ B(s') is the successor measure of π(·, z), relative to the data's, and π maximises F(s, z, a)ᵀ z.
 
-    As in controllable_agent: the smaller of two forward maps in targets and for the actor, B normalised, z of states of the minibatch for
-    half of it. arXiv 2209.14935, section 4 and appendix.
+    As in controllable_agent: the smaller of two forward maps in each entry of the target's matrix and for the actor, which share their
+    embeddings; B normalised; z of states of the minibatch for half of it; an orthonormality loss of 2 (½ off[C²] − diag(C)). Its additional
+    regression of F(s, z, a)ᵀ z (``q_loss``, off there) is left out. Episodes do not terminate.
     """
 
     config_class: ClassVar[type] = FBConfig
@@ -61,12 +62,12 @@ class FB(ZeroShotLearner):
             return ForwardMap(random, s, config.z_dim, a, config.z_dim, config.width, config.shared_embeddings)
 
         def backward_map() -> nn.Module:
-            return nn.Sequential(features(random, s, config.backward_width, config.z_dim), Activation(normalised))
+            return nn.Sequential(features(random, s, config.feature_width, config.z_dim), Activation(normalised))
 
         self.actor = ConditionedActor(random, s, config.z_dim, a, config.width)
         self.forward_map, self.backward_map = forward_map(), backward_map()
-        self.target_forward = make_target(self.forward_map, forward_map())
-        self.target_backward = make_target(self.backward_map, backward_map())
+        self.target_forward_map = make_target(self.forward_map, forward_map())
+        self.target_backward_map = make_target(self.backward_map, backward_map())
         self.add_optimiser("maps", [self.forward_map, self.backward_map], config.learning_rate)
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
@@ -74,16 +75,12 @@ class FB(ZeroShotLearner):
         with torch.no_grad():
             return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
 
-    def embedded(self, batch: Batch) -> Tensor:
-        embedded: Tensor = self.backward_map(batch.observation)
-        return embedded
-
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following = self.config, batch.next_observation
-        z = self.task_vectors(batch)
         with torch.no_grad():
-            later = self.target_forward(following, z, self.sample(following, z))
-            target = _measures(later, self.target_backward(following)).amin(1)
+            z = self.task_vectors(self.backward_map(batch.observation))
+            later = self.target_forward_map(following, z, self.sample(following, z))
+            target = _measures(later, self.target_backward_map(following)).amin(1)
         ahead, back = self.forward_map(batch.observation, z, batch.action), self.backward_map(following)
         measures = _measures(ahead, back)
         fb_loss = (0.5 * off_diagonal((measures - config.discount * target[:, None]).square()) - on_diagonal(measures)).sum(1)
@@ -94,8 +91,8 @@ class FB(ZeroShotLearner):
             values = (self.forward_map(batch.observation, z, self.sample(batch.observation, z)) * z[:, None]).sum(-1).amin(1)
             actor_loss = -values.mean(1)
             self.minimise("actor", actor_loss)
-        soft_update(self.forward_map, self.target_forward, config.target_tau)
-        soft_update(self.backward_map, self.target_backward, config.target_tau)
+        soft_update(self.forward_map, self.target_forward_map, config.target_tau)
+        soft_update(self.backward_map, self.target_backward_map, config.target_tau)
         if not batch.measure:
             return {}
         return {

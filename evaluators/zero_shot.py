@@ -15,7 +15,6 @@ import torch
 from torch import Tensor, nn
 
 from cudc_bench.learning.networks import Activation, Ensemble, Linear, MemberRandom, mlp, noisy_action, trunk
-from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import Config, NonNegativeFloat, PositiveFloat, PositiveInt, UnitInterval
 
 from .actor_critic import OfflineLearner
@@ -27,23 +26,34 @@ class ZeroShotConfig(Config):
 
     Attributes:
         batch_size: transitions of a minibatch.
-        width: of the hidden layers; embeddings have half of it.
+        width: of the hidden layers of what looks ahead and of the policy.
+        feature_width: of the hidden layers of what embeds states.
         learning_rate: of every Adam optimiser, unless there is one of its own.
         discount: γ.
         target_tau: rate at which slow copies follow.
         z_dim: d, the size of the vector that stands for a task.
         z_mix: share of a minibatch's z that are embeddings of states of the data; the others are uniform on the sphere.
-        noise_std: of the policy around its mean, in training.
-        noise_clip: bound of that noise.
     """
 
     batch_size: PositiveInt = 1024
     width: PositiveInt = 1024
+    feature_width: PositiveInt = 256
     learning_rate: PositiveFloat = 1e-4
     discount: UnitInterval = 0.98
     target_tau: UnitInterval = 0.01
     z_dim: PositiveInt = 50
     z_mix: UnitInterval = 0.5
+
+
+@dataclass(frozen=True)
+class NoisyZeroShotConfig(ZeroShotConfig):
+    """Beside them, the values of a policy with noise of its own.
+
+    Attributes:
+        noise_std: of the policy around its mean, in training.
+        noise_clip: bound of that noise.
+    """
+
     noise_std: NonNegativeFloat = 0.2
     noise_clip: NonNegativeFloat = 0.3
 
@@ -70,28 +80,25 @@ class ZeroShotLearner(OfflineLearner):
 
     Class attributes, beside those of every evaluator:
         rule: how z follows from labelled transitions, in a few words, for records.
-        wants_future: whether batches must hold a later state of the same episode and any state of the data
-            (``Batch.future_observation``, ``Batch.other_observation``).
+
+    Attributes:
+        actor: the policy's mean, (E, B, S) and (E, B, d) -> (E, B, A).
     """
 
-    learns_from_rewards: ClassVar[bool] = False
     rule: ClassVar[str]
-    wants_future: ClassVar[bool] = False
 
     actor: nn.Module
 
     @abstractmethod
     def infer(self, labelled: Labelled) -> Tensor:
-        """A vector for each task (E, K, d), whose direction is that of its z; zero where all rewards are.
-
-        Each task's follows from its own rewards.
-        """
-
-    @abstractmethod
-    def embedded(self, batch: Batch) -> Tensor:
-        """The z of tasks that ask for states of a minibatch (E, B, d); they take no gradient."""
+        """The vector z of each task (E, K, d), of length √d; zero where all rewards are. It follows from a task's own rewards alone."""
 
     # What follows from these
+
+    @property
+    def acting(self) -> nn.Module:
+        """What acts, (E, n, S) and (E, n, d) -> (E, n, A); the actor, unless it reads something else than observations."""
+        return self.actor
 
     @property
     def policy(self) -> nn.Module:
@@ -100,28 +107,31 @@ class ZeroShotLearner(OfflineLearner):
 
     def policy_for(self, z: Tensor) -> Conditioned:
         """The policies of a task vector for each member (E, d)."""
-        return Conditioned(self.actor, z)
+        return Conditioned(self.acting, z)
 
     @torch.no_grad()
     def act_for(self, observation: Tensor, z: Tensor) -> Tensor:
         """Deterministic actions (E, n, A) in [-1, 1] for observations (E, n, S), each with a task vector (E, n, d)."""
-        actions: Tensor = self.actor(observation, z)
+        actions: Tensor = self.acting(observation, z)
         return actions
 
-    def task_vectors(self, batch: Batch) -> Tensor:
-        """z (E, B, d): uniform on the sphere, and a share of them those of states of the minibatch in another order."""
-        noise, (_, size, _) = self.random["noise"], batch.observation.shape
+    @torch.no_grad()
+    def task_vectors(self, embedded: Tensor) -> Tensor:
+        """z of the transitions of a minibatch (E, B, d): uniform on the sphere, and a share of them other transitions' embeddings.
+
+        Args:
+            embedded: the z of a task that asks for each transition's state (E, B, d); they are given to others in a random order.
+        """
+        noise, size = self.random["noise"], embedded.shape[1]
         uniform = normalised(noise.normal(size, self.config.z_dim))
         draws = noise.uniform(2, size)
         order = draws[:, 0].argsort(1)
-        with torch.no_grad():
-            embedded = self.embedded(batch)
-        embedded = embedded.gather(1, order[..., None].expand_as(embedded))
-        return torch.where((draws[:, 1] < self.config.z_mix)[..., None], embedded, uniform)
+        others = embedded.gather(1, order[..., None].expand_as(embedded))
+        return torch.where((draws[:, 1] < self.config.z_mix)[..., None], others, uniform)
 
-    def sample(self, observation: Tensor, z: Tensor, network: nn.Module | None = None) -> Tensor:
-        """Actions of the stochastic policy for (E, B, S) and (E, B, d), with gradient."""
-        mean = (network or self.actor)(observation, z)
+    def sample(self, observation: Tensor, z: Tensor) -> Tensor:
+        """Actions of the stochastic policy for what the actor reads (E, B, S) and (E, B, d), with gradient."""
+        mean = self.actor(observation, z)
         noise = self.random["noise"].normal(*mean.shape[1:])
         return noisy_action(mean, noise, self.config.noise_std, self.config.noise_clip)
 
@@ -153,7 +163,7 @@ class ConditionedActor(nn.Module):
     Args:
         random: the members' streams for initial weights.
         observation, z_dim, action: sizes of s, z and a.
-        width: of the hidden layers.
+        width: of the hidden layers; each embedding has half of it.
     """
 
     def __init__(self, random: MemberRandom, observation: int, z_dim: int, action: int, width: int) -> None:
@@ -176,7 +186,7 @@ class ForwardMap(nn.Module):
         random: the members' streams for initial weights.
         observation, z_dim, action: sizes of s, z and a.
         outputs: size of the vector.
-        width: of the hidden layers.
+        width: of the hidden layers; each embedding has half of it.
         shared: whether the two have their embeddings in common.
     """
 
@@ -251,6 +261,9 @@ def orthonormality(vectors: Tensor) -> Tensor:
 
 
 def least_squares(vectors: Tensor, reward: Tensor) -> Tensor:
-    """The weights (E, K, d) that bring vectors (E, m, d) nearest to rewards (E, K, m), without an intercept; or the shortest of them."""
-    weights: Tensor = torch.linalg.lstsq(vectors.double(), reward.double().transpose(1, 2), driver="gelsd").solution
-    return weights.transpose(1, 2).to(vectors.dtype)
+    """The weights (E, K, d) that bring vectors (E, m, d) nearest to rewards (E, K, m), without an intercept; or the shortest of them.
+
+    On the CPU in float64: other devices have no solver that bears vectors which depend on one another.
+    """
+    weights: Tensor = torch.linalg.lstsq(vectors.cpu().double(), reward.cpu().double().transpose(1, 2), driver="gelsd").solution
+    return weights.transpose(1, 2).to(vectors)

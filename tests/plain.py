@@ -126,8 +126,8 @@ def ema(slow: Weights, online: Weights, tau: float) -> None:
 class Member:
     """Member ``e`` of a stack of learners, taken out of it as plain tensors under the stack's own names, each a leaf that can be trained.
 
-    A network becomes a list of tensors (``member.actor``), several of them for each member a list of such lists (``member.critic[1]``),
-    a parameter of its own a tensor (``member.log_std``).
+    A network becomes a list of tensors (``member.actor``), several of them for each member a list of such lists (``member.critic[1]``), in
+    which those that have layers in common have the same tensors; a parameter of its own a tensor (``member.log_std``).
 
     Args:
         learner: the stack; it is copied from, and stays as it is.
@@ -164,11 +164,13 @@ class Member:
         parameters = dict(module.named_parameters(prefix=name))
         if not parameters:
             return []
-        each = next(iter(parameters.values())).shape[0] // members  # a member's networks lie one after the other
-        return [
-            [self._leaf(f"{name}[{j}].{path}", path, parameter, self.e * each + j) for path, parameter in parameters.items()]
-            for j in range(each)
-        ]
+        networks: list[Weights] = [[] for _ in range(max(parameter.shape[0] for parameter in parameters.values()) // members)]
+        for path, parameter in parameters.items():
+            each = parameter.shape[0] // members  # a member's networks lie one after the other; of some layers all have one and the same
+            leaves = [self._leaf(f"{name}[{j}].{path}", path, parameter, self.e * each + j) for j in range(each)]
+            for network, leaf in zip(networks, leaves * (len(networks) // each), strict=True):
+                network.append(leaf)
+        return networks
 
     def _leaf(self, label: str, path: str, parameter: Tensor, row: int) -> Tensor:
         leaf = plain(parameter.detach()[row]).clone().requires_grad_()

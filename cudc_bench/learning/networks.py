@@ -235,6 +235,12 @@ class Ensemble(nn.Module):
         out = self.layers(x.repeat_interleave(self.size, dim=0))
         return out.unflatten(0, (-1, self.size))
 
+    def first(self, x: Tensor) -> Tensor:
+        """(E, B, inputs) -> (E, B, outputs) of each member's first network, without the work of the others; as of all but for rounding."""
+        own = {name: stacked[:: self.size] for name, stacked in self.layers.named_parameters()}
+        out: Tensor = functional_call(self.layers, own, x)
+        return out
+
 
 class TwinCritic(nn.Module):
     """Two separate critics.
@@ -254,9 +260,7 @@ class TwinCritic(nn.Module):
 
     def first(self, observation: Tensor, action: Tensor) -> Tensor:
         """(E, B, S), (E, B, A) -> the first critic's values (E, B), without the work of the second; as of both but for rounding."""
-        own = {name: stacked[:: self.twins.size] for name, stacked in self.twins.layers.named_parameters()}
-        values: Tensor = functional_call(self.twins.layers, own, torch.cat([observation, action], dim=-1))
-        return values.squeeze(-1)
+        return self.twins.first(torch.cat([observation, action], dim=-1)).squeeze(-1)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ episode. Episode i starts at action row ``starts[i]`` and at observation row ``s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,8 @@ import torch
 from torch import Tensor
 
 from cudc_bench.learning.networks import MemberRandom
+
+FUTURE = 0.99  # how probable each further step is on the way to a future state, in all of HILP's experiments
 
 
 @dataclass
@@ -32,6 +35,8 @@ class Batch:
         skill: the skill (E, B, K) that a_t followed; None for methods without skills.
         next_action: a_{t+k} (E, B, A), for algorithms that ask for it.
         nearer_observation, nearer_horizon: s_{t+k'} (E, B, S) and k' ≤ k (E, B), int64, for methods that ask for a second end.
+        future_observation, other_observation: a later state of the same episode and any state of the data, each (E, B, S), for algorithms
+            that ask for them.
         cache: what a method computed for one step of its update and needs in a later one: values by name, or an object of its own.
         signal: what a method compares with the threshold that a pilot measures (E, B); set by the update, where there is one.
     """
@@ -46,6 +51,8 @@ class Batch:
     next_action: Tensor | None = None
     nearer_observation: Tensor | None = None
     nearer_horizon: Tensor | None = None
+    future_observation: Tensor | None = None
+    other_observation: Tensor | None = None
     cache: Any = field(default_factory=dict)
     signal: Tensor | None = None
 
@@ -112,15 +119,24 @@ class Episodes:
         Returns:
             Rows of s_t and of a_t in their source, each (E, B).
         """
+        observation_row, action_row, _ = self._draw(size, horizon)
+        return observation_row, action_row
+
+    def _draw(self, size: int, horizon: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """As :meth:`indices`, and how many steps of its episode follow each s_t."""
         draws = self.random.uniform(2, size, dtype=torch.float64)
         counts = self.counts[self.source, None]
         episode = torch.minimum((draws[:, 0] * counts).long(), counts - 1)
-        starts_allowed = self.lengths[self.source[:, None], episode] - horizon[:, None] + 1
+        length = self.lengths[self.source[:, None], episode]
+        starts_allowed = length - horizon[:, None] + 1
         offset = torch.minimum((draws[:, 1] * starts_allowed).long(), starts_allowed - 1)
         action_row = self.starts[self.source[:, None], episode] + offset
-        return action_row + episode, action_row
+        return action_row + episode, action_row, length - offset
 
-    def sample(self, size: int, horizon: Tensor, measure: bool = False, min_horizon: int | None = None, next_action: bool = False) -> Batch:
+    def sample(
+        self, size: int, horizon: Tensor, measure: bool = False, min_horizon: int | None = None, next_action: bool = False,
+        future: bool = False,
+    ) -> Batch:  # fmt: skip
         """A minibatch of B k-step transitions for each member; rewards are those of the first step.
 
         Args:
@@ -129,8 +145,10 @@ class Episodes:
             measure: see :class:`Batch`.
             next_action: also give the action that follows s_{t+k}; transitions to the end of an episode, which has none, are left out.
             min_horizon: also give a second end to each transition, k' steps after its start, k' uniform from there to k.
+            future: also give a state of the same episode that is Δ steps after s_t, or its last one, Δ ≥ 1 geometric (``FUTURE``); and
+                any state of the data: uniformly an episode, then uniformly one of its states.
         """
-        observation_row, action_row = self.indices(size, horizon + 1 if next_action else horizon)
+        observation_row, action_row, left = self._draw(size, horizon + 1 if next_action else horizon)
         flat_observation = self.observations.flatten(0, 1)
         base = self.source[:, None]
         first = observation_row + base * self.observations.shape[1]
@@ -149,6 +167,12 @@ class Episodes:
             span = horizon[:, None] - min_horizon + 1
             k = min_horizon + torch.minimum((self.random.uniform(size, dtype=torch.float64) * span).long(), span - 1)
             nearer = flat_observation.index_select(0, (first + k).flatten()).view(*first.shape, -1)
+        later, other = None, None
+        if future:
+            steps = 1 + (torch.log1p(-self.random.uniform(size, dtype=torch.float64)) / math.log(FUTURE)).long()
+            any_row, _ = self.indices(size, torch.zeros_like(horizon))
+            rows = torch.cat([first + torch.minimum(steps, left), any_row + base * self.observations.shape[1]], dim=1)
+            later, other = flat_observation.index_select(0, rows.flatten()).view(*rows.shape, -1).split(size, dim=1)
         return Batch(
             observation=both[:, :size],
             action=action.view(*action_row.shape, -1),
@@ -160,4 +184,6 @@ class Episodes:
             next_action=following,
             nearer_observation=nearer,
             nearer_horizon=k,
+            future_observation=later,
+            other_observation=other,
         )

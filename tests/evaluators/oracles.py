@@ -22,13 +22,15 @@ Metrics = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Transitions:
-    """One member's minibatch: s (B, S), a (B, A), s' (B, S), r (B,) and the action after s' (B, A)."""
+    """One member's minibatch: s (B, S), a (B, A), s' (B, S), r (B,), the action after s' (B, A), a later state and any state (B, S)."""
 
     s: Tensor
     a: Tensor
     s_next: Tensor
     r: Tensor
     a_next: Tensor
+    later: Tensor
+    other: Tensor
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Oracle:
         values: every hyperparameter that enters a formula.
         trained: what each optimiser trains.
         reads: what of a batch enters; the rest is NaN in the test.
+        infer: z of the rewards (B,) of one task on a batch, of a member, with the values; for learners that train without rewards.
     """
 
     update: Callable[[Member, Transitions, Any, int], Metrics]
@@ -48,6 +51,7 @@ class Oracle:
     values: Mapping[str, Any]
     trained: Mapping[str, tuple[str, ...]]
     reads: frozenset[str] = frozenset({"s", "a", "s_next", "r"})
+    infer: Callable[[Member, Transitions, Tensor, Any], Tensor] | None = None
 
 
 # ExORL's networks: actors and critics with trunks of their own
@@ -74,8 +78,10 @@ def regress(m: Member, b: Transitions, y: Tensor) -> Metrics:
 
 
 def follow(slow: list[Weights], online: list[Weights], tau: float) -> None:
-    for old, new in zip(slow, online, strict=True):
-        ema(old, new, tau)
+    # Networks may have layers in common, which follow once.
+    pairs = {id(old): (old, new) for one, other in zip(slow, online, strict=True) for old, new in zip(one, other, strict=True)}
+    for old, new in pairs.values():
+        ema([old], [new], tau)
 
 
 EXORL = {"learning_rate": 1e-4, "discount": 0.99, "critic_tau": 0.01, "noise_std": 0.2, "noise_clip": 0.3}

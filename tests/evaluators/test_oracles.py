@@ -15,15 +15,20 @@ import pytest
 import torch
 
 from cudc_bench import plugins
+from cudc_bench.evaluators.zero_shot import Labelled
 from cudc_bench.learning.replay import Batch
 from tests.plain import Member, assert_same, doubles, perturb
 
-from .oracles import ORACLES, Transitions
+from . import oracles
+from .oracles import Transitions
+from .zero_shot.oracles import ZERO_SHOT
 
+ORACLES = oracles.ORACLES | ZERO_SHOT
 SEEDS = (3, 4)
 # All different, so that no axis is taken for another.
-SIZE, OBSERVATION, ACTION, WIDTH = 12, 5, 3, 16
-SIZES = {"batch_size", "width", "hidden_layers"}  # hyperparameters that are no part of a formula
+SIZE, OBSERVATION, ACTION = 12, 5, 3
+SMALL = {"width": 16, "feature_width": 14, "z_dim": 4, "state_dim": 7}
+SIZES = {"batch_size", "hidden_layers", "shared_embeddings", *SMALL}  # hyperparameters that are no part of a formula
 OURS = [name for name in plugins.names("evaluators") if "cudc-bench" in plugins.package("evaluators", name)]
 FUJIMOTO = {"target_actor": True, "policy_delay": 2, "maximise": "first", "actor_noise": False}
 # Beside each algorithm as it comes: the settings that change a formula.
@@ -44,6 +49,7 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("iql", {"expectile": 0.9, "beta": 10.0, "largest_weight": 5.0}),
     ("rebrac", {"policy_delay": 1, "actor_penalty": 0.3, "critic_penalty": 0.2}),
     ("rebrac", {"hidden_layers": 2}),
+    ("fb", {"shared_embeddings": False, "ortho": 0.3, "z_mix": 0.8}),
 ]
 CASES = [*((name, {}) for name in OURS), *SWITCHES]
 
@@ -56,7 +62,7 @@ def title(case: tuple[str, dict[str, Any]]) -> str:
 def stack(name: str, settings: dict[str, Any]) -> Any:
     """Two members whose weights are nothing special, and whose slow copies, at first exact, are far from what they copy."""
     kind = plugins.load("evaluators", name)
-    learner = kind(OBSERVATION, ACTION, kind.configure({"width": WIDTH}, settings), SEEDS)
+    learner = kind(OBSERVATION, ACTION, kind.configure(SMALL, settings), SEEDS)
     for network, module in learner.named_children():
         if network.startswith("target_"):
             online = dict(getattr(learner, network.removeprefix("target_")).named_parameters())
@@ -99,12 +105,28 @@ def batch(seed: int, reads: frozenset[str]) -> tuple[Batch, list[Transitions]]:
         # Far from what critics expect: beside a penalty of weight 1e6, whose part in the last bias cancels to nothing, errors stay visible.
         "r": 10.0 * torch.rand(members, SIZE, generator=generator),
         "a_next": torch.rand(members, SIZE, ACTION, generator=generator) * 2 - 1,
+        "later": torch.randn(members, SIZE, OBSERVATION, generator=generator),
+        "other": torch.randn(members, SIZE, OBSERVATION, generator=generator),
     }
     drawn = {name: value if name in reads else torch.full_like(value, math.nan) for name, value in drawn.items()}
     of_members = [Transitions(**{name: value[e] for name, value in drawn.items()}) for e in range(members)]
     horizon = torch.ones(members, dtype=torch.int64)
-    stacked = Batch(drawn["s"], drawn["a"], drawn["s_next"], horizon, drawn["r"], measure=True, next_action=drawn["a_next"])
+    stacked = Batch(
+        drawn["s"], drawn["a"], drawn["s_next"], horizon, drawn["r"], measure=True, next_action=drawn["a_next"],
+        future_observation=drawn["later"], other_observation=drawn["other"],
+    )  # fmt: skip
     return stacked, of_members
+
+
+def check_infer(learner: Any, members: list[Member], infer: Any, v: Any) -> None:
+    """Of two tasks, the second of which pays in few transitions."""
+    stacked, of_members = batch(10, frozenset({"s", "a", "s_next"}))
+    reward = torch.rand(len(members), 2, SIZE, generator=torch.Generator().manual_seed(10))
+    reward[:, 1, 3:] = 0.0
+    found = learner.infer(Labelled(stacked.observation, stacked.action, stacked.next_observation, reward))
+    for e, member in enumerate(members):
+        for task in (0, 1):
+            assert_same(found[e, task], infer(member, of_members[e], reward[e, task], v).detach(), f"z of task {task}")
 
 
 @pytest.mark.parametrize("case", CASES, ids=title)
@@ -132,5 +154,7 @@ def test_three_updates_equal_the_formulas(case: tuple[str, dict[str, Any]]) -> N
         observation = torch.randn(len(SEEDS), 7, OBSERVATION, generator=torch.Generator().manual_seed(9))
         for e, member in enumerate(members):
             assert_same(learner.act(observation)[e], oracle.act(member, observation[e], v).detach(), "the evaluated action")
+        if oracle.infer is not None:
+            check_infer(learner, members, oracle.infer, v)
     branches = {what: set().union(*(member.branches[what] for member in members)) for what in members[0].branches}
     assert all(seen == {False, True} for seen in branches.values()), f"one side of a bound is never met: {branches}"

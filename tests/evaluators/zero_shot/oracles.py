@@ -1,0 +1,119 @@
+"""What learners without rewards compute, one member and one formula at a time; see :mod:`tests.evaluators.oracles`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from tests.plain import Member, Weights, mlp, noisy, trunk, trunk_mlp
+
+from ..oracles import Metrics, Oracle, Transitions, follow
+
+# Networks of Touati et al. 2023
+
+
+def embed(weights: Weights, x: Tensor) -> Tensor:
+    return torch.relu(F.linear(trunk(weights[:4], x), weights[4], weights[5]))
+
+
+def two_embeddings(weights: Weights, first: Tensor, second: Tensor) -> Tensor:
+    return mlp(weights[12:], torch.cat([embed(weights[:6], first), embed(weights[6:12], second)], -1))
+
+
+def ahead(weights: Weights, s: Tensor, z: Tensor, a: Tensor) -> Tensor:
+    """F(s, z, a), from embeddings of (a, s) and of (s, z)."""
+    return two_embeddings(weights, torch.cat([a, s], -1), torch.cat([s, z], -1))
+
+
+def mean_action(actor: Weights, s: Tensor, z: Tensor) -> Tensor:
+    """From embeddings of s and of (s, z)."""
+    return torch.tanh(two_embeddings(actor, s, torch.cat([s, z], -1)))
+
+
+def norm(x: Tensor) -> Tensor:
+    """To the length √d."""
+    return math.sqrt(x.shape[-1]) * x / (x**2).sum(-1, keepdim=True).sqrt()
+
+
+# What they have in common
+
+
+def tasks(m: Member, embedded: Tensor, v: Any) -> Tensor:
+    """z of each transition: the embedding of another one, or uniform on the sphere."""
+    n, d = embedded.shape
+    uniform = norm(m.normal(n, d))
+    place, share = m.uniform(2, n)
+    order = sorted(range(n), key=lambda i: float(place[i]))
+    return torch.stack([embedded[order[i]] if share[i] < v.z_mix else uniform[i] for i in range(n)]).detach()
+
+
+def draw(m: Member, s: Tensor, z: Tensor, v: Any) -> Tensor:
+    mean = mean_action(m.actor, s, z)
+    return noisy(mean, m.normal(*mean.shape), v.noise_std, v.noise_clip)
+
+
+def off(matrix: Tensor) -> Tensor:
+    """The mean over i ≠ j."""
+    n = len(matrix)
+    return (matrix * (1 - torch.eye(n))).sum() / (n * (n - 1))
+
+
+def on(matrix: Tensor) -> Tensor:
+    return torch.diag(matrix).mean()
+
+
+def orthonormal(e: Tensor) -> Tensor:
+    return 0.5 * off((e @ e.T) ** 2) - on(e @ e.T)
+
+
+def act_of_nothing(m: Member, s: Tensor, v: Any) -> Tensor:
+    """The policy of z = 0."""
+    d = m.actor[6].shape[1] - s.shape[1]
+    return mean_action(m.actor, s, torch.zeros(len(s), d))
+
+
+# FB (Touati and Ollivier 2021; Touati et al. 2023)
+
+
+def back(m: Member, s: Tensor) -> Tensor:
+    return norm(trunk_mlp(m.backward_map, s))
+
+
+def fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """Σ_k ½ off[(M_k - γ min M̄)²] - diag M_k + λ (off[(B Bᵀ)²] - 2 diag B Bᵀ), M_k = F_k(s, z, a) B(s')ᵀ; the actor ascends min_k F_kᵀ z."""
+    z = tasks(m, back(m, b.s), v)
+    with torch.no_grad():
+        a_next = draw(m, b.s_next, z, v)
+        slow = norm(trunk_mlp(m.target_backward_map, b.s_next))
+        one, two = (ahead(weights, b.s_next, z, a_next) @ slow.T for weights in m.target_forward_map)
+        target = torch.where(m.branch(one < two, "the first slow measure is smaller"), one, two)
+    embedded = back(m, b.s_next)
+    measures = [ahead(weights, b.s, z, b.a) @ embedded.T for weights in m.forward_map]
+    fb_loss = sum((0.5 * off((one - v.discount * target) ** 2) - on(one) for one in measures), torch.zeros(()))
+    ortho_loss = off((embedded @ embedded.T) ** 2) - 2 * on(embedded @ embedded.T)
+    m.adam["maps"].minimise(fb_loss + v.ortho * ortho_loss)
+
+    action = draw(m, b.s, z, v)
+    one, two = ((ahead(weights, b.s, z, action) * z).sum(-1) for weights in m.forward_map)
+    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two)
+    m.adam["actor"].minimise(-q.mean())
+    follow(m.target_forward_map, m.forward_map, v.target_tau)
+    follow([m.target_backward_map], [m.backward_map], v.target_tau)
+    measure = sum((on(one) for one in measures), torch.zeros(())) / 2
+    return {"fb_loss": fb_loss, "ortho_loss": ortho_loss, "actor_loss": -q.mean(), "measure": measure, "q": q.mean()}
+
+
+COMMON = {"learning_rate": 1e-4, "discount": 0.98, "target_tau": 0.01, "z_mix": 0.5}
+NOISE = {"noise_std": 0.2, "noise_clip": 0.3}
+SEEN = frozenset({"s", "a", "s_next"})
+
+ZERO_SHOT = {
+    "fb": Oracle(
+        fb, act_of_nothing, COMMON | NOISE | {"ortho": 1.0}, {"maps": ("forward_map", "backward_map"), "actor": ("actor",)}, SEEN,
+        lambda m, b, r, v: norm((r[:, None] * back(m, b.s_next)).mean(0)),
+    ),
+}  # fmt: skip
