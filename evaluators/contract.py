@@ -8,6 +8,7 @@ A package with an algorithm of its own runs them on it from its own tests::
     class TestMine(EvaluatorContract):
         algorithm = "mine"
 
+(:class:`ZeroShotContract` for one that trains without rewards.)
 They prove what the evaluation loop promises for an algorithm: sizes in every domain, actions in [-1, 1], repeatable runs, members that
 never see each other, states that can be saved and restored, runs that end the same when they are stopped in their middle, and policies
 that can be kept. Nothing is proved about an algorithm's mathematics: that takes an independent version of its losses, for which ``make``
@@ -36,6 +37,7 @@ from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.evaluate_config import EvaluateConfig
 
 from .running.loop import Arena, Outcome, run_evaluation
+from .zero_shot import Labelled
 
 SMALL = {"width": 16, "batch_size": 32, "learning_rate": 1e-3}
 # What is proved about the loop is the same for episodes of any length.
@@ -76,6 +78,14 @@ def batch_for(agent: Any, observation: int = 24, action: int = 6, size: int = 32
         s, a, following, torch.ones(len(agent.seeds), dtype=torch.int64), r, measure, next_action=a_next, future_observation=later,
         other_observation=other,
     )  # fmt: skip
+
+
+def labelled_for(agent: Any, tasks: int = 2, observation: int = 24, action: int = 6, size: int = 200, seed: int = 0) -> Labelled:
+    """The transitions of :func:`batch_for` with random rewards, of which one in ten is not zero, in some tasks."""
+    batch = batch_for(agent, observation, action, size, seed)
+    g = torch.Generator().manual_seed(seed)
+    draws = torch.rand(2, len(agent.seeds), tasks, size, generator=g)
+    return Labelled(batch.observation, batch.action, batch.next_observation, draws[0] * (draws[1] < 0.1))
 
 
 def rows_of(batch: Batch, first: int) -> Batch:
@@ -346,3 +356,89 @@ class EvaluatorContract:
             again = Checkpoints(folder, {"name": name}, every=0.0)
             assert again.load(lambda step, state: None) == stop
             assert run(again, make(name, (3, 4))) == whole, f"a run that was stopped and continued ended otherwise: {STATE}"
+
+
+class ZeroShotContract(EvaluatorContract):
+    """The battery for an algorithm that trains without rewards (:class:`~cudc_bench.evaluators.zero_shot.ZeroShotLearner`): the one of
+    every algorithm, and what the evaluation promises of tasks."""
+
+    def trained(self, name: str, seeds: Sequence[int] = (5, 6)) -> Any:
+        """A small stack after a few updates."""
+        agent = make(name, seeds)
+        for step in range(3):
+            agent.update(batch_for(agent, seed=step))
+        return agent
+
+    def test_trains_without_rewards(self, name: str) -> None:
+        agents = [make(name, (1, 2)) for _ in range(2)]
+        batches = [batch_for(agent) for agent in agents]
+        batches[1].reward = None
+        for agent, batch in zip(agents, batches, strict=True):
+            agent.update(batch)
+        first, second = (digest(agent.state_dict()) for agent in agents)
+        assert first == second, "an update read rewards; those of a task are for infer alone"
+
+    def test_infers_the_vectors_of_tasks(self, name: str) -> None:
+        agent = self.trained(name)
+        labelled = labelled_for(agent, tasks=3)
+        before = digest(agent.state_dict())
+        z = agent.infer(labelled)
+        assert digest(agent.state_dict()) == before, "infer changed the algorithm's state; evaluations must leave no trace"
+        assert not z.requires_grad, "infer must not keep gradients"
+        d = agent.config.z_dim
+        assert z.shape == (2, 3, d), f"infer gives {tuple(z.shape)}; a vector for each of 3 tasks of 2 members is (2, 3, {d})"
+        torch.testing.assert_close(z.norm(dim=-1), torch.full((2, 3), d**0.5), msg=lambda text: f"z must have the length √d. {text}")
+        assert torch.equal(z, agent.infer(labelled)), "infer gave two answers to one question; it must be deterministic"
+        assert not torch.allclose(z[:, 0], z[:, 1]), "tasks with different rewards have the same z"
+
+    def test_a_task_without_any_reward_is_the_zero_vector(self, name: str) -> None:
+        agent = self.trained(name)
+        labelled = labelled_for(agent)
+        labelled.reward[:, 1] = 0.0
+        z = agent.infer(labelled)
+        assert torch.equal(z[:, 1], torch.zeros_like(z[:, 1])), "z of rewards that are all zero must be zero, and no division by its length"
+        assert torch.isfinite(z).all()
+
+    def test_a_task_follows_from_its_own_rewards_alone(self, name: str) -> None:
+        agent = self.trained(name)
+        labelled = labelled_for(agent, tasks=3)
+        whole = agent.infer(labelled)
+        for task in range(3):
+            alone = agent.infer(replace(labelled, reward=labelled.reward[:, task : task + 1]))
+            torch.testing.assert_close(
+                whole[:, task : task + 1], alone, atol=1e-3, rtol=1e-3,
+                msg=lambda text: f"z of a task beside others is not what it is alone. {text}",
+            )  # fmt: skip
+
+    def test_members_infer_together_as_they_do_alone(self, name: str) -> None:
+        agent, alone = make(name, (5, 6)), make(name, (6,))
+        labelled = labelled_for(agent)
+        labelled.observation[0] *= 10.0
+        labelled.next_observation[0] *= 10.0
+        labelled.reward[0] *= 10.0
+        own = Labelled(**{key: value[1:] for key, value in vars(labelled).items()})
+        torch.testing.assert_close(
+            agent.infer(labelled)[1:], alone.infer(own), atol=1e-3, rtol=1e-3,
+            msg=lambda text: f"a member of a stack of two infers another z than alone: members must never see each other. {text}",
+        )  # fmt: skip
+
+    def test_a_tasks_policy_is_what_acts_for_it(self, name: str) -> None:
+        agent = self.trained(name)
+        z, observation = agent.infer(labelled_for(agent)), torch.randn(2, 5, 24)
+        actions = []
+        for task in (0, 1):
+            policy = agent.policy_for(z[:, task])
+            with torch.no_grad():
+                own = policy(observation)
+            expected = agent.act_for(observation, z[:, task, None].expand(-1, 5, -1))
+            assert torch.equal(own, expected), "act_for and policy_for give other actions; what is evaluated must be what is kept"
+            # The file of a task holds all that its policy is.
+            other = self.trained(name, (8, 9)).policy
+            other.load_state_dict(policy.state_dict())
+            with torch.no_grad():
+                assert torch.equal(other(observation), own), "the state of policy_for does not restore it; z must be one of its buffers"
+            actions.append(own)
+        assert actions[0].abs().max() <= 1
+        assert not torch.equal(*actions), "it acts the same whatever z is"
+        nothing = agent.policy_for(torch.zeros_like(z[:, 0]))
+        assert torch.equal(nothing(observation), agent.act(observation)), "policy must be the one of the zero vector"

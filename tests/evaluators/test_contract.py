@@ -1,4 +1,4 @@
-"""The battery of evaluators/contract.py on every offline algorithm that is registered here, third parties' included."""
+"""The battery of evaluators/contract.py on every offline algorithm that trains on rewards and is registered here, third parties' included."""
 
 import pytest
 import torch
@@ -7,7 +7,8 @@ from cudc_bench import plugins
 from cudc_bench.evaluators.contract import EvaluatorContract
 from cudc_bench.evaluators.td3 import TD3
 
-NAMES = plugins.names("evaluators")
+from .helpers import LABELLED
+
 # What the loop does is the same for all but cloning, which has no critic, those that want the next action, and those whose actor moves in
 # every second update.
 LOOP = ["bc", "iql", "rebrac", "td3", "td3-fujimoto"]
@@ -21,7 +22,7 @@ COSTLY = {
 
 class TestEvaluators(EvaluatorContract):
     def pytest_generate_tests(self, metafunc):
-        metafunc.parametrize("name", COSTLY.get(metafunc.function.__name__, NAMES))
+        metafunc.parametrize("name", COSTLY.get(metafunc.function.__name__, LABELLED))
 
 
 def test_what_runs_for_some_is_of_the_battery():
