@@ -19,6 +19,7 @@ from .zero_shot import (
     NoisyZeroShotConfig,
     ZeroShotLearner,
     features,
+    measures,
     normalised,
     off_diagonal,
     on_diagonal,
@@ -71,19 +72,19 @@ class FB(ZeroShotLearner):
         self.add_optimiser("maps", [self.forward_map, self.backward_map], config.learning_rate)
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
+    @torch.no_grad()
     def infer(self, labelled: Labelled) -> Tensor:
-        with torch.no_grad():
-            return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
+        return normalised(torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1])
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following = self.config, batch.next_observation
         with torch.no_grad():
             z = self.task_vectors(self.backward_map(batch.observation))
             later = self.target_forward_map(following, z, self.sample(following, z))
-            target = _measures(later, self.target_backward_map(following)).amin(1)
+            target = measures(later, self.target_backward_map(following)).amin(1)
         ahead, back = self.forward_map(batch.observation, z, batch.action), self.backward_map(following)
-        measures = _measures(ahead, back)
-        fb_loss = (0.5 * off_diagonal((measures - config.discount * target[:, None]).square()) - on_diagonal(measures)).sum(1)
+        found = measures(ahead, back)
+        fb_loss = (0.5 * off_diagonal((found - config.discount * target[:, None]).square()) - on_diagonal(found)).sum(1)
         ortho_loss = 2.0 * orthonormality(back)
         self.minimise("maps", fb_loss + config.ortho * ortho_loss)
 
@@ -97,10 +98,5 @@ class FB(ZeroShotLearner):
             return {}
         return {
             "fb_loss": fb_loss.detach(), "ortho_loss": ortho_loss.detach(), "actor_loss": actor_loss.detach(),
-            "measure": on_diagonal(measures.detach()).mean(1), "q": values.detach().mean(1),
+            "measure": on_diagonal(found.detach()).mean(1), "q": values.detach().mean(1),
         }  # fmt: skip
-
-
-def _measures(ahead: Tensor, back: Tensor) -> Tensor:
-    """F_k(s_i, z_i, a_i)ᵀ B(s'_j) of both maps (E, 2, B, d) and (E, B, d), (E, 2, B, B)."""
-    return torch.matmul(ahead, back[:, None].transpose(2, 3))

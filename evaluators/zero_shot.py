@@ -243,6 +243,11 @@ def normalised(vectors: Tensor) -> Tensor:
     return vectors * (math.sqrt(vectors.shape[-1]) / vectors.norm(dim=-1, keepdim=True).clamp_min(1e-12))
 
 
+def measures(ahead: Tensor, back: Tensor) -> Tensor:
+    """F_k(i)ᵀ B(j) of two forward maps (E, 2, B, d) and a backward map (E, B, d), (E, 2, B, B)."""
+    return torch.matmul(ahead, back[:, None].transpose(2, 3))
+
+
 def off_diagonal(matrices: Tensor) -> Tensor:
     """The mean of what is not on the diagonal of (…, B, B), (…)."""
     size = matrices.shape[-1]

@@ -40,6 +40,7 @@ class Profile:
 
 PAPER_STEPS = 1_000_000  # environment steps of a dataset
 _SMALL = {"width": 128, "batch_size": 128, "learning_rate": 1e-3}
+_EMBEDDING = {"feature_width": 64, "state_dim": 64}  # of evaluators that embed states
 
 
 def schedules(config: type, profile: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,7 +70,7 @@ PROFILES: dict[str, Profile] = {
             collect={"steps": 400_000, "update_every": 8, "feature_dim": 128, **_SMALL},
             evaluate={
                 "gradient_steps": 50_000, "evaluate_every": 5_000, "evaluation_episodes": 5, "final_episodes": 20,
-                "milestones": (10_000, 50_000), **_SMALL,
+                "milestones": (10_000, 50_000), **_SMALL, **_EMBEDDING,
             },
             threads=1,
             in_ids=False,
@@ -80,7 +81,7 @@ PROFILES: dict[str, Profile] = {
             collect={"steps": 100_000, "update_every": 8, "feature_dim": 128, "measure_every": 250, **_SMALL},
             evaluate={
                 "gradient_steps": 10_000, "evaluate_every": 1_000, "evaluation_episodes": 3, "final_episodes": 10,
-                "milestones": (2_000, 10_000), **_SMALL,
+                "milestones": (2_000, 10_000), **_SMALL, **_EMBEDDING,
             },
             threads=1,
         ),
@@ -93,7 +94,7 @@ PROFILES: dict[str, Profile] = {
             },
             evaluate={
                 "gradient_steps": 40, "evaluate_every": 20, "evaluation_episodes": 1, "final_episodes": 2,
-                "milestones": (20, 40), "width": 16, "batch_size": 32, "learning_rate": 1e-3,
+                "milestones": (20, 40), "width": 16, "batch_size": 32, "learning_rate": 1e-3, "feature_width": 8, "state_dim": 8,
             },
             threads=1,
         ),

@@ -50,6 +50,7 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("rebrac", {"policy_delay": 1, "actor_penalty": 0.3, "critic_penalty": 0.2}),
     ("rebrac", {"hidden_layers": 2}),
     ("fb", {"shared_embeddings": False, "ortho": 0.3, "z_mix": 0.8}),
+    ("fb-onestep", {"maximise": "min", "squash": True, "temperature": 2.0, "ortho": 1.0}),
 ]
 CASES = [*((name, {}) for name in OURS), *SWITCHES]
 

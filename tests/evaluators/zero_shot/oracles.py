@@ -107,13 +107,65 @@ def fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     return {"fb_loss": fb_loss, "ortho_loss": ortho_loss, "actor_loss": -q.mean(), "measure": measure, "q": q.mean()}
 
 
+# One-step FB (Zheng et al. 2026): F and B of (s, a), the data's next action, (1 - γ) on the diagonal
+
+
+def of_pair(weights: Weights, s: Tensor, a: Tensor) -> Tensor:
+    return trunk_mlp(weights, torch.cat([s, a], -1))
+
+
+def one_step_action(m: Member, s: Tensor, z: Tensor, v: Any) -> Tensor:
+    hidden = torch.tanh(F.linear(torch.cat([s, z], -1), m.actor[0], m.actor[1]))
+    out = mlp(m.actor[2:], hidden)
+    if v.squash:
+        return torch.tanh(out)
+    return torch.where(m.branch(out.detach().abs() > 1, "an action beyond its bounds"), out.detach().sign(), out)
+
+
+def one_step_fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """mean_k {½ off[(M_k - γ mean M̄)²] - (1 - γ) diag M_k} + λ (½ off[(B Bᵀ)²] - diag B Bᵀ). The actor ascends F(s, a)ᵀ z / mean |F(s, a)ᵀ z|.
+
+    All of it at the weights of before.
+    """
+    embedded = of_pair(m.backward_map, b.s, b.a)
+    z = tasks(m, norm(embedded.detach()), v)
+    with torch.no_grad():
+        slow = of_pair(m.target_backward_map, b.s, b.a)
+        one, two = (of_pair(weights, b.s_next, b.a_next) @ slow.T for weights in m.target_forward_map)
+        target = (one + two) / 2
+    found = [of_pair(weights, b.s, b.a) @ embedded.T for weights in m.forward_map]
+    one, two = (0.5 * off((one - v.discount * target) ** 2) - (1 - v.discount) * on(one) for one in found)
+    fb_loss, ortho_loss = (one + two) / 2, orthonormal(embedded)
+
+    own = one_step_action(m, b.s, z, v)
+    one, two = ((of_pair(weights, b.s, own) * z).sum(-1) for weights in m.forward_map)
+    q = (one + two) / 2 if v.maximise == "mean" else torch.minimum(one, two)
+    actor_loss = -q.mean() / q.detach().abs().mean()
+    m.adam["actor"].minimise(actor_loss)
+    m.adam["maps"].minimise(fb_loss + v.ortho * ortho_loss)
+    follow(m.target_forward_map, m.forward_map, v.target_tau)
+    follow([m.target_backward_map], [m.backward_map], v.target_tau)
+    measure = (on(found[0]) + on(found[1])) / 2
+    return {"fb_loss": fb_loss, "ortho_loss": ortho_loss, "actor_loss": actor_loss, "measure": measure, "q": q.mean()}
+
+
+def one_step_infer(m: Member, b: Transitions, r: Tensor, v: Any) -> Tensor:
+    weights = torch.exp(v.temperature * r) / torch.exp(v.temperature * r).sum()
+    return norm(((weights * r)[:, None] * of_pair(m.backward_map, b.s, b.a)).mean(0))
+
+
 COMMON = {"learning_rate": 1e-4, "discount": 0.98, "target_tau": 0.01, "z_mix": 0.5}
 NOISE = {"noise_std": 0.2, "noise_clip": 0.3}
 SEEN = frozenset({"s", "a", "s_next"})
+MAPS = {"maps": ("forward_map", "backward_map"), "actor": ("actor",)}
 
 ZERO_SHOT = {
     "fb": Oracle(
-        fb, act_of_nothing, COMMON | NOISE | {"ortho": 1.0}, {"maps": ("forward_map", "backward_map"), "actor": ("actor",)}, SEEN,
+        fb, act_of_nothing, COMMON | NOISE | {"ortho": 1.0}, MAPS, SEEN,
         lambda m, b, r, v: norm((r[:, None] * back(m, b.s_next)).mean(0)),
+    ),
+    "fb-onestep": Oracle(
+        one_step_fb, lambda m, s, v: one_step_action(m, s, torch.zeros(len(s), m.actor[0].shape[1] - s.shape[1]), v),
+        COMMON | {"ortho": 0.1, "temperature": 10.0, "maximise": "mean", "squash": False}, MAPS, SEEN | {"a_next"}, one_step_infer,
     ),
 }  # fmt: skip
