@@ -123,7 +123,7 @@ class ZeroShotLearner(OfflineLearner):
             embedded: the z of a task that asks for each transition's state (E, B, d); they are given to others in a random order.
         """
         noise, size = self.random["noise"], embedded.shape[1]
-        uniform = normalised(noise.normal(size, self.config.z_dim))
+        uniform = normalised(noise.normal(size, self.config.z_dim).to(embedded.dtype))
         draws = noise.uniform(2, size)
         order = draws[:, 0].argsort(1)
         others = embedded.gather(1, order[..., None].expand_as(embedded))

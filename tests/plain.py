@@ -49,10 +49,12 @@ def assert_same(found: Tensor, expected: Tensor, what: str) -> None:
 
     Sums in another order differ by some 1e-15 of it. Two things make more of that: Adam divides a gradient by its size, but by no less than
     1e-8, so that where it is nearly 0, another rounding moves the weight by up to 1e-8 of the learning rate; and terms may be large that
-    cancel, such as those of a log-density whose deviation is e^-10. No more than 1e-9 was seen.
+    cancel, such as those of a log-density whose deviation is e^-10. No more than 1e-9 was seen. Where all terms cancel, as in the gradient
+    of a bias that moves nothing but differences, what is left is their own rounding, below 1e-15, and no number to compare with.
     """
     assert found.dtype == expected.dtype == torch.float64, f"{what} is {found.dtype}, and should be float64"
-    bound = 1e-8 * float(expected.abs().max()) if expected.numel() else 0.0
+    largest = float(expected.abs().max()) if expected.numel() else 0.0
+    bound = 1e-8 * largest if largest > 1e-15 else 1e-15
     if found.shape == expected.shape and bool(((found - expected).abs() <= bound).all()):
         return  # without the tenth of a millisecond that it takes to say what differs
     torch.testing.assert_close(found, expected, rtol=0.0, atol=bound, msg=lambda text: f"{what} differs. {text}")

@@ -1,4 +1,4 @@
-"""The battery of evaluators/contract.py on every offline algorithm that trains on rewards and is registered here, third parties' included."""
+"""The battery of evaluators/contract.py on every offline algorithm that trains on rewards, third parties' included."""
 
 import pytest
 import torch

@@ -51,6 +51,7 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("rebrac", {"hidden_layers": 2}),
     ("fb", {"shared_embeddings": False, "ortho": 0.3, "z_mix": 0.8}),
     ("fb-onestep", {"maximise": "min", "squash": True, "temperature": 2.0, "ortho": 1.0}),
+    ("hilp", {"q_loss": True, "expectile": 0.9, "random_goals": 0.7, "feature_rate": 2.0}),
 ]
 CASES = [*((name, {}) for name in OURS), *SWITCHES]
 
@@ -109,6 +110,7 @@ def batch(seed: int, reads: frozenset[str]) -> tuple[Batch, list[Transitions]]:
         "later": torch.randn(members, SIZE, OBSERVATION, generator=generator),
         "other": torch.randn(members, SIZE, OBSERVATION, generator=generator),
     }
+    drawn["later"][:, :4], drawn["other"][:, 2:6] = drawn["s"][:, :4], drawn["s"][:, 2:6]  # goals that are reached
     drawn = {name: value if name in reads else torch.full_like(value, math.nan) for name, value in drawn.items()}
     of_members = [Transitions(**{name: value[e] for name, value in drawn.items()}) for e in range(members)]
     horizon = torch.ones(members, dtype=torch.int64)

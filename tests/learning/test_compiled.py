@@ -108,7 +108,8 @@ def updates_of(learner: Any, graph: Callable[[], Graph] | None, double: bool = F
 
     def draw(measure: bool) -> Batch:
         horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following)
+        future = getattr(learner, "wants_future", False)
+        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following, future)
 
     return Updater(learner, draw, random, graph)
 

@@ -95,3 +95,52 @@ def test_members_that_share_a_source_get_their_own_rewards():
     assert torch.equal(batch.observation[0], batch.observation[1])
     assert torch.equal(batch.reward[0], row)
     assert torch.equal(batch.reward[1], -row)
+
+
+@settings(max_examples=40, deadline=None)
+@given(lengths=st.lists(st.integers(2, 9), min_size=1, max_size=4), next_action=st.booleans(), seed=st.integers(0, 99))
+def test_future_states_come_later_in_the_same_episode(lengths, next_action, seed):
+    batch = coded(lengths, seeds=(seed, seed + 1), source_of_member=[0, 0]).sample(
+        64, torch.ones(2, dtype=torch.int64), next_action=next_action, future=True
+    )
+    assert torch.equal(batch.future_observation[..., :2], batch.observation[..., :2])
+    limit = torch.tensor(lengths)[batch.observation[..., 1].long()]
+    later = batch.future_observation[..., 2]
+    assert (later > batch.observation[..., 2]).all()
+    assert (later <= limit).all()
+    any_limit = torch.tensor(lengths)[batch.other_observation[..., 1].long()]
+    assert (batch.other_observation[..., 2] <= any_limit).all()
+
+
+def test_future_states_are_geometric_up_to_the_end_and_other_states_uniform():
+    count, one = 40_000, torch.tensor([1])
+    batch = coded([300, 300]).sample(count, one, future=True)
+    start, later = batch.observation[0, :, 2], batch.future_observation[0, :, 2]
+    early = start < 150
+    steps = (later - start)[early].long()
+    share = torch.bincount(steps, minlength=152)[:150] / len(steps)
+    assert share[0] == 0
+    torch.testing.assert_close(share[1:31].sum(), torch.tensor(1 - 0.99**30), atol=0.01, rtol=0)
+    torch.testing.assert_close(share[1:].sum(), torch.tensor(1 - 0.99**149), atol=0.01, rtol=0)
+    # At the last start the end is all that is left; all the probability of what lies beyond it is there.
+    assert (later[start == 299] == 300).all()
+    left = 300 - start
+    ended = (later == 300).double().mean()
+    torch.testing.assert_close(ended, (0.99 ** (left.double() - 1)).mean(), atol=0.01, rtol=0)
+    other = batch.other_observation[0]
+    torch.testing.assert_close(
+        torch.bincount((other[:, 1] * 7 + other[:, 2] // 43).long()) / count, torch.full((14,), 1 / 14), atol=0.01, rtol=0
+    )
+    assert other[:, 2].max() == 300
+    assert other[:, 2].min() == 0
+    plain = coded([300, 300]).sample(count, one)
+    assert torch.equal(plain.observation, batch.observation)
+    assert plain.future_observation is plain.other_observation is None
+
+
+def test_members_draw_their_own_future_and_other_states():
+    together = coded([9, 11], seeds=(5, 6), sources=2).sample(32, torch.tensor([1, 1]), future=True)
+    alone = coded([9, 11], seeds=(6,)).sample(32, torch.tensor([1]), future=True)
+    for name in ("future_observation", "other_observation"):
+        assert torch.equal(getattr(together, name)[1, :, 1:], getattr(alone, name)[0, :, 1:])
+        assert (getattr(together, name)[1, :, 0] == 1).all()

@@ -56,6 +56,11 @@ def draw(m: Member, s: Tensor, z: Tensor, v: Any) -> Tensor:
     return noisy(mean, m.normal(*mean.shape), v.noise_std, v.noise_clip)
 
 
+def regress(x: Tensor, r: Tensor) -> Tensor:
+    """(xᵀx)⁻¹ xᵀ r."""
+    return torch.linalg.solve(x.T @ x, x.T @ r)
+
+
 def off(matrix: Tensor) -> Tensor:
     """The mean over i ≠ j."""
     n = len(matrix)
@@ -84,7 +89,10 @@ def back(m: Member, s: Tensor) -> Tensor:
 
 
 def fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
-    """Σ_k ½ off[(M_k - γ min M̄)²] - diag M_k + λ (off[(B Bᵀ)²] - 2 diag B Bᵀ), M_k = F_k(s, z, a) B(s')ᵀ; the actor ascends min_k F_kᵀ z."""
+    """Σ_k ½ off[(M_k - γ min M̄)²] - diag M_k + λ (off[(B Bᵀ)²] - 2 diag B Bᵀ), M_k = F_k(s, z, a) B(s')ᵀ.
+
+    The actor ascends min_k F_kᵀ z.
+    """
     z = tasks(m, back(m, b.s), v)
     with torch.no_grad():
         a_next = draw(m, b.s_next, z, v)
@@ -123,9 +131,9 @@ def one_step_action(m: Member, s: Tensor, z: Tensor, v: Any) -> Tensor:
 
 
 def one_step_fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
-    """mean_k {½ off[(M_k - γ mean M̄)²] - (1 - γ) diag M_k} + λ (½ off[(B Bᵀ)²] - diag B Bᵀ). The actor ascends F(s, a)ᵀ z / mean |F(s, a)ᵀ z|.
+    """mean_k {½ off[(M_k - γ mean M̄)²] - (1 - γ) diag M_k} + λ (½ off[(B Bᵀ)²] - diag B Bᵀ).
 
-    All of it at the weights of before.
+    The actor ascends F(s, a)ᵀ z / mean |F(s, a)ᵀ z|. All of it at the weights of before.
     """
     embedded = of_pair(m.backward_map, b.s, b.a)
     z = tasks(m, norm(embedded.detach()), v)
@@ -154,6 +162,63 @@ def one_step_infer(m: Member, b: Transitions, r: Tensor, v: Any) -> Tensor:
     return norm(((weights * r)[:, None] * of_pair(m.backward_map, b.s, b.a)).mean(0))
 
 
+# HILP (Park et al. 2024): distances by goal-conditioned TD, and successor features of φ_1(s) less a slow mean
+
+
+def distance(weights: Weights, s: Tensor, g: Tensor) -> Tensor:
+    return torch.clamp(((trunk_mlp(weights, s) - trunk_mlp(weights, g)) ** 2).sum(-1), min=1e-6).sqrt()
+
+
+def centred(m: Member, s: Tensor) -> Tensor:
+    return trunk_mlp(m.maps[0], s).detach() - getattr(m, "mean", 0.0)
+
+
+def hilp(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """Σ_k |ψ_k - (x(s') + γ ψ̄_least)|²; Σ_k |κ - 1[A < 0]| (r + γ_h (1 - reached) V̄_k(s', g) - V_k(s, g))².
+
+    The actor ascends min_k ψ_kᵀ z.
+    """
+    x = centred(m, b.s_next)
+    z = tasks(m, norm(x @ torch.linalg.inv(x.T @ x / len(x) + 1e-5 * torch.trace(x.T @ x / len(x)) * torch.eye(x.shape[1]))), v)
+    with torch.no_grad():
+        a_next = draw(m, b.s_next, z, v)
+        one, two = (ahead(weights, b.s_next, z, a_next) for weights in m.target_successor)
+        first = m.branch((one * z).sum(-1) < (two * z).sum(-1), "the first head is smaller")
+        y = x + v.discount * torch.stack([one[i] if first[i] else two[i] for i in range(len(x))])
+    heads = [ahead(weights, b.s, z, b.a) for weights in m.successor]
+    if v.q_loss:
+        successor_loss = sum((((one * z).sum(-1) - (y * z).sum(-1)) ** 2).mean() for one in heads)
+    else:
+        successor_loss = sum(((one - y) ** 2).mean() for one in heads)
+    m.adam["successor"].minimise(successor_loss)
+
+    anywhere = m.branch(m.uniform(len(x)) < v.random_goals, "any state is the goal")
+    g = torch.where(anywhere[:, None], b.other, b.later)
+    reached = m.branch(((b.s - g) ** 2).sum(-1).sqrt() < 1e-6, "the goal is reached").double()
+    with torch.no_grad():
+        targets = [reached - 1 - v.feature_discount * (1 - reached) * distance(weights, b.s_next, g) for weights in m.target_maps]
+        here = sum(-distance(weights, b.s, g) for weights in m.target_maps) / 2
+        advantage = torch.minimum(*targets) - here
+        weight = (v.expectile - m.branch(advantage < 0, "a negative advantage").double()).abs()
+        mean_of_phi = trunk_mlp(m.maps[0], b.s).mean(0)
+    distances = [distance(weights, b.s, g) for weights in m.maps]
+    feature_loss = sum((weight * (y + one) ** 2).mean() for y, one in zip(targets, distances, strict=True))
+    follow(m.target_maps, m.maps, v.feature_tau)
+    m.adam["features"].rate = v.feature_rate * v.learning_rate
+    m.adam["features"].minimise(feature_loss)
+    m.mean = 0.995 * getattr(m, "mean", 0.0) + 0.005 * mean_of_phi
+
+    action = draw(m, b.s, z, v)
+    one, two = ((ahead(weights, b.s, z, action) * z).sum(-1) for weights in m.successor)
+    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two)
+    m.adam["actor"].minimise(-q.mean())
+    follow(m.target_successor, m.successor, v.target_tau)
+    return {
+        "successor_loss": successor_loss, "feature_loss": feature_loss, "actor_loss": -q.mean(), "q": q.mean(),
+        "distance": (distances[0] + distances[1]).mean() / 2, "advantage": advantage.mean(),
+    }  # fmt: skip
+
+
 COMMON = {"learning_rate": 1e-4, "discount": 0.98, "target_tau": 0.01, "z_mix": 0.5}
 NOISE = {"noise_std": 0.2, "noise_clip": 0.3}
 SEEN = frozenset({"s", "a", "s_next"})
@@ -167,5 +232,13 @@ ZERO_SHOT = {
     "fb-onestep": Oracle(
         one_step_fb, lambda m, s, v: one_step_action(m, s, torch.zeros(len(s), m.actor[0].shape[1] - s.shape[1]), v),
         COMMON | {"ortho": 0.1, "temperature": 10.0, "maximise": "mean", "squash": False}, MAPS, SEEN | {"a_next"}, one_step_infer,
+    ),
+    "hilp": Oracle(
+        hilp, act_of_nothing,
+        COMMON | NOISE | {
+            "q_loss": False, "feature_rate": 5.0, "feature_discount": 0.96, "feature_tau": 0.005, "expectile": 0.5, "random_goals": 0.375,
+        },
+        {"successor": ("successor",), "features": ("maps",), "actor": ("actor",)}, SEEN | {"later", "other"},
+        lambda m, b, r, v: norm(regress(centred(m, b.s_next), r)),
     ),
 }  # fmt: skip
