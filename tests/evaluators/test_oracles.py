@@ -52,6 +52,7 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("fb", {"shared_embeddings": False, "ortho": 0.3, "z_mix": 0.8}),
     ("fb-onestep", {"maximise": "min", "squash": True, "temperature": 2.0, "ortho": 1.0}),
     ("hilp", {"q_loss": True, "expectile": 0.9, "random_goals": 0.7, "feature_rate": 2.0}),
+    ("td-jepa", {"state_ortho": 1.0, "task_ortho": 0.5, "target_tau": 0.05, "z_mix": 0.2}),
 ]
 CASES = [*((name, {}) for name in OURS), *SWITCHES]
 

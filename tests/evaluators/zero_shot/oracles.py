@@ -219,6 +219,46 @@ def hilp(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     }  # fmt: skip
 
 
+# TD-JEPA (Bagatella et al. 2026): T_φ(φ(s), z, a) predicts ψ's discounted sums, T_ψ(ψ(s), z, a) those of φ
+
+
+def encode_state(weights: Weights, s: Tensor) -> Tensor:
+    return norm(F.linear(s, weights[0], weights[1]))
+
+
+def encode_task(weights: Weights, s: Tensor) -> Tensor:
+    return norm(trunk_mlp(weights, s))
+
+
+def predict(networks: list[Weights], x: Tensor, z: Tensor, a: Tensor) -> Tensor:
+    return (ahead(networks[0], x, z, a) + ahead(networks[1], x, z, a)) / 2
+
+
+def td_jepa(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """mean_k |T_φ,k - (ψ̄(s') + γ mean T̄_φ)|² + mean_k |T_ψ,k - (φ̄(s') + γ mean T̄_ψ)|² + λ O; the actor ascends T_φ(φ(s), z, a)ᵀ z."""
+    z = tasks(m, encode_task(m.task_encoder, b.s_next), v)
+    with torch.no_grad():
+        state, task = encode_state(m.target_state_encoder, b.s_next), encode_task(m.target_task_encoder, b.s_next)
+        a_next = draw(m, state, z, v)
+        of_state = task + v.discount * predict(m.target_state_predictor, state, z, a_next)
+        of_task = state + v.discount * predict(m.target_task_predictor, task, z, a_next)
+    state, task = encode_state(m.state_encoder, b.s), encode_task(m.task_encoder, b.s)
+    losses = []
+    for networks, x, y in ((m.state_predictor, state, of_state), (m.task_predictor, task, of_task)):
+        losses.append(sum(((ahead(weights, x, z, b.a) - y) ** 2).sum(-1).mean() for weights in networks) / 2)
+    ortho_loss = v.state_ortho * orthonormal(state) + v.task_ortho * orthonormal(task)
+    m.adam["prediction"].minimise(losses[0] + losses[1] + ortho_loss)
+
+    state = encode_state(m.state_encoder, b.s).detach()
+    q = (predict(m.state_predictor, state, z, draw(m, state, z, v)) * z).sum(-1)
+    m.adam["actor"].minimise(-q.mean())
+    for name in ("state_encoder", "task_encoder"):
+        follow([getattr(m, f"target_{name}")], [getattr(m, name)], v.target_tau)
+    for name in ("state_predictor", "task_predictor"):
+        follow(getattr(m, f"target_{name}"), getattr(m, name), v.target_tau)
+    return {"state_loss": losses[0], "task_loss": losses[1], "ortho_loss": ortho_loss, "actor_loss": -q.mean(), "q": q.mean()}
+
+
 COMMON = {"learning_rate": 1e-4, "discount": 0.98, "target_tau": 0.01, "z_mix": 0.5}
 NOISE = {"noise_std": 0.2, "noise_clip": 0.3}
 SEEN = frozenset({"s", "a", "s_next"})
@@ -240,5 +280,11 @@ ZERO_SHOT = {
         },
         {"successor": ("successor",), "features": ("maps",), "actor": ("actor",)}, SEEN | {"later", "other"},
         lambda m, b, r, v: norm(regress(centred(m, b.s_next), r)),
+    ),
+    "td-jepa": Oracle(
+        td_jepa, lambda m, s, v: act_of_nothing(m, encode_state(m.state_encoder, s), v),
+        COMMON | NOISE | {"target_tau": 0.001, "state_ortho": 0.1, "task_ortho": 0.1},
+        {"prediction": ("state_encoder", "task_encoder", "state_predictor", "task_predictor"), "actor": ("actor",)}, SEEN,
+        lambda m, b, r, v: norm(regress(encode_task(m.task_encoder, b.s_next).detach(), r)),
     ),
 }  # fmt: skip
