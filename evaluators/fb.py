@@ -73,8 +73,8 @@ class FB(ZeroShotLearner):
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
     @torch.no_grad()
-    def infer(self, labelled: Labelled) -> Tensor:
-        return normalised(torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1])
+    def direction(self, labelled: Labelled) -> Tensor:
+        return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following = self.config, batch.next_observation

@@ -66,9 +66,9 @@ class OneStepFB(ZeroShotLearner):
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
     @torch.no_grad()
-    def infer(self, labelled: Labelled) -> Tensor:
+    def direction(self, labelled: Labelled) -> Tensor:
         weights = (self.config.temperature * labelled.reward).softmax(-1) * labelled.reward
-        return normalised(torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1))))
+        return torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1)))
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config = self.config
@@ -112,13 +112,14 @@ class _Actor(nn.Module):
     def __init__(self, random: MemberRandom, inputs: int, action: int, width: int, squash: bool) -> None:
         super().__init__()
         self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *mlp(random, width, width, width, action))
-        self.output = torch.tanh if squash else _clipped
+        self.output = Activation(torch.tanh if squash else _clipped)
         with torch.no_grad():
             self.layers[-1].weight.mul_(0.1)
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
-        return self.output(self.layers(torch.cat([observation, z], -1)))
+        actions: Tensor = self.output(self.layers(torch.cat([observation, z], -1)))
+        return actions
 
 
 def _clipped(actions: Tensor) -> Tensor:

@@ -71,8 +71,8 @@ class SuccessorFeatures(ZeroShotLearner):
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
     @torch.no_grad()
-    def infer(self, labelled: Labelled) -> Tensor:
-        return normalised(least_squares(self.features(labelled.next_observation), labelled.reward))
+    def direction(self, labelled: Labelled) -> Tensor:
+        return least_squares(self.features(labelled.next_observation), labelled.reward)
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following = self.config, batch.next_observation

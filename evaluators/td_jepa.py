@@ -89,8 +89,8 @@ class TDJEPA(ZeroShotLearner):
         return _OfObservations(self.state_encoder, self.actor)
 
     @torch.no_grad()
-    def infer(self, labelled: Labelled) -> Tensor:
-        return normalised(least_squares(self.task_encoder(labelled.next_observation), labelled.reward))
+    def direction(self, labelled: Labelled) -> Tensor:
+        return least_squares(self.task_encoder(labelled.next_observation), labelled.reward)
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following, action = self.config, batch.next_observation, batch.action

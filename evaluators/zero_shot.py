@@ -85,15 +85,20 @@ class ZeroShotLearner(OfflineLearner):
         actor: the policy's mean, (E, B, S) and (E, B, d) -> (E, B, A).
     """
 
+    learns_from_rewards: ClassVar[bool] = False
     rule: ClassVar[str]
 
     actor: nn.Module
 
     @abstractmethod
-    def infer(self, labelled: Labelled) -> Tensor:
-        """The vector z of each task (E, K, d), of length √d; zero where all rewards are. It follows from a task's own rewards alone."""
+    def direction(self, labelled: Labelled) -> Tensor:
+        """A vector of each task (E, K, d) of any length, zero where all rewards are. It follows from a task's own rewards alone."""
 
     # What follows from these
+
+    def infer(self, labelled: Labelled) -> Tensor:
+        """The vector z of each task (E, K, d), of length √d; zero where all rewards are."""
+        return normalised(self.direction(labelled))
 
     @property
     def acting(self) -> nn.Module:

@@ -132,7 +132,7 @@ class Interview:
 
     def told(self) -> Told:
         """What follows from the labels now; each question by itself, so that its answer depends on no other."""
-        found = [self._agent.infer(self.labelled(one)) for one in self._questions]
+        found = [self._agent.direction(self.labelled(one)) for one in self._questions]
         raw = torch.cat(found, dim=1)
         return Told(normalised(raw), raw.norm(dim=-1))
 
