@@ -112,13 +112,13 @@ class _Actor(nn.Module):
     def __init__(self, random: MemberRandom, inputs: int, action: int, width: int, squash: bool) -> None:
         super().__init__()
         self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *mlp(random, width, width, width, action))
-        self.output = Activation(torch.tanh if squash else _clipped)
+        self.bound = Activation(torch.tanh if squash else _clipped)
         with torch.no_grad():
             self.layers[-1].weight.mul_(0.1)
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
-        actions: Tensor = self.output(self.layers(torch.cat([observation, z], -1)))
+        actions: Tensor = self.bound(self.layers(torch.cat([observation, z], -1)))
         return actions
 
 
