@@ -113,8 +113,9 @@ class _Actor(nn.Module):
         super().__init__()
         self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *mlp(random, width, width, width, action))
         self.bound = Activation(torch.tanh if squash else _clipped)
+        last: Any = self.layers[-1]
         with torch.no_grad():
-            self.layers[-1].weight.mul_(0.1)
+            last.weight.mul_(0.1)
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
