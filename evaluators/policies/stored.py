@@ -154,7 +154,9 @@ def load_learner(record: Path, found: Record) -> ZeroShotLearner:
 
 def _write_weights(weights: Mapping[str, Tensor], path: Path, what: str) -> None:
     content = io.BytesIO()
-    torch.save({name: value.detach().cpu().clone() for name, value in weights.items()}, content)
+    # As if each were alone: how it lay in memory is nobody's business.
+    alone = {name: value.detach().cpu().clone(memory_format=torch.contiguous_format) for name, value in weights.items()}
+    torch.save(alone, content)
     try:
         write_atomically(path, content.getvalue())
     except OSError as error:
