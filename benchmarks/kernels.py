@@ -16,7 +16,7 @@ from benchmarks.measure import Row
 from benchmarks.updates import SPACE, PlainDDPG, batch_for
 from cudc_bench import plugins
 from cudc_bench.collectors.ddpg import DDPGConfig
-from cudc_bench.learning.compiled import compile_recording, functional, missing_compiler
+from cudc_bench.learning.compiled import compile_anew, functional, missing_compiler
 from cudc_bench.learning.recording import Recording
 
 TARGETS = {"cudc": 120, "td3": 70}
@@ -48,7 +48,7 @@ def run() -> Iterator[Row]:
         metrics.reset()
         # A function that is kept already would not be counted.
         with config.patch({"force_disable_caches": True}):
-            compile_recording(recording)
+            compile_anew(recording)
         graph = functional(recording, FakeTensorMode())[0]
         called = [str(node.target).split(".") for node in graph.graph.nodes if node.op == "call_function"]
         products = sum(parts[0] == "aten" and parts[1] in _PRODUCTS for parts in called)

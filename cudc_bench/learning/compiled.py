@@ -25,6 +25,7 @@ from torch import Tensor, fx
 
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.progress import echo
+from cudc_bench.learning import kept
 from cudc_bench.learning.cuda_graphs import CudaGraph, Graph
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.recording import NotRepeatableError, Recording
@@ -108,25 +109,16 @@ def compile_recording(recording: Recording) -> Callable[[], None]:
         CannotCompileError: the compiler does not take it.
         Interrupted: the process was asked to leave meanwhile.
     """
-    key = _key(recording)
-    known = cache_folder() / "known" / key
     os.environ.setdefault(_CACHE, str(cache_folder()))
-    start = time.perf_counter()
-    if not known.exists():
-        echo("compiling an update for this method, size and machine; it is kept, and most take less than half a minute")
+    key = _key(recording)
     try:
-        with _quiet():
-            compiled = _here[key] if key in _here else _here.setdefault(key, _compiled(recording))
+        _check_steps(recording)
+        compiled = _here[key] if key in _here else _here.setdefault(key, _known(recording, cache_folder() / "known" / key))
     except Exception as error:  # whatever the compiler raises: single steps remain
         if interrupts.requested():
             # Ctrl-C ends the compilers that it started as well.
             raise interrupts.interrupted("") from None
         raise CannotCompileError(f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:200]}") from error
-    if not known.exists():
-        echo(f"compiled in {time.perf_counter() - start:.0f} s")
-        with contextlib.suppress(OSError):
-            known.parent.mkdir(parents=True, exist_ok=True)
-            known.touch()
     inputs = recording.inputs
 
     def run() -> None:
@@ -137,9 +129,34 @@ def compile_recording(recording: Recording) -> Callable[[], None]:
 
 
 def _key(recording: Recording) -> str:
+    """What a compiled function depends on: the update, how it is taken apart here, the machine and what people have set."""
     shapes = [(tuple(one.shape), tuple(one.stride()), str(one.dtype), str(one.device)) for one in recording.inputs]
-    text = f"{torch.__version__} {torch.get_num_threads()} {shapes} {recording.graph.code}"
+    text = f"{Path(__file__).read_text()} {kept.machine()} {kept.settings(_CACHE)} {shapes} {recording.graph.code}"
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _known(recording: Recording, path: Path) -> Callable[[list[Tensor]], Any]:
+    """What was compiled before, else compile it, and keep it for the next time."""
+    on_cpu = _on_cpu(recording)
+    if on_cpu and (found := kept.kept(path)) is not None:
+        return found
+    start = time.perf_counter()
+    # On CUDA the compiler keeps what it made, and a mark says that it did.
+    if aloud := on_cpu or not path.exists():
+        echo("compiling an update for this method, size and machine; it is kept, and most take less than half a minute")
+    with _quiet():
+        compiled = compile_anew(recording)
+    if aloud:
+        echo(f"compiled in {time.perf_counter() - start:.0f} s")
+    with contextlib.suppress(OSError, ImportError, AttributeError, KeyError):
+        if not on_cpu:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        elif (library := kept.library_of(compiled)) is not None:
+            kept.keep(path, library)
+            # As later starts call it.
+            return kept.load(library)
+    return compiled
 
 
 @contextlib.contextmanager
@@ -156,7 +173,12 @@ def _quiet() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _compiled(recording: Recording) -> Callable[[list[Tensor]], Any]:
+def _on_cpu(recording: Recording) -> bool:
+    return all(one.device.type == "cpu" for one in recording.inputs)
+
+
+def compile_anew(recording: Recording) -> Any:
+    """The function that the compiler makes of a recording, whose inputs it takes as a list; what is kept is not looked for."""
     from torch._guards import TracingContext, tracing
     from torch._inductor import config
     from torch._inductor.compile_fx import compile_fx_inner
@@ -164,7 +186,7 @@ def _compiled(recording: Recording) -> Callable[[list[Tensor]], Any]:
 
     mode = FakeTensorMode()
     graph, inputs = functional(recording, mode)
-    on_cpu = all(one.device.type == "cpu" for one in recording.inputs)
+    on_cpu = _on_cpu(recording)
     options = {"cpp.threads": torch.get_num_threads(), "cpp_wrapper": on_cpu, "fx_graph_cache": True}
     with torch.no_grad(), mode, tracing(TracingContext(mode)), config.patch(options):
         compiled: Any = compile_fx_inner(graph, inputs, cpp_wrapper=on_cpu, is_inference=True)

@@ -9,6 +9,7 @@ size of the whole stack, and are therefore called for each member: products with
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -288,6 +289,16 @@ class MemberAdam(torch.optim.Adam):
     """
 
     members = 1
+    # PyTorch's own, without what is wrapped around them for its compiler and imports that: a second and a half in every process.
+    add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
+    zero_grad = inspect.unwrap(torch.optim.Optimizer.zero_grad)
+    state_dict = inspect.unwrap(torch.optim.Optimizer.state_dict)
+    load_state_dict = inspect.unwrap(torch.optim.Optimizer.load_state_dict)
+    _step = inspect.unwrap(torch.optim.Adam.step)
+
+    def step(self, closure: Any = None) -> Any:
+        with torch.no_grad():
+            return self._step(closure)
 
     def _init_group(self, group: Any, *lists: list[Tensor]) -> bool:
         complex_numbers: bool = super()._init_group(group, *lists)

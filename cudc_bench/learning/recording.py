@@ -80,6 +80,11 @@ class Recorder(TorchDispatchMode):
         super().__init__()
         self.calls: list[Call] = []
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        # PyTorch would wrap what follows for its compiler, and import that for it: a second and a half in every process.
+        return False
+
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None) -> Any:
         name = func._schema.name
         if name in _WAITING or (name == "aten::index" and any(t.dtype == torch.bool for t in _tensors(args[1]))):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -146,7 +148,9 @@ needs_compiler = pytest.mark.skipif(_compiler() is not None, reason="needs a C++
 
 
 @needs_compiler
-def test_a_compiled_update_is_the_update(own_cache: None, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_compiled_update_is_the_update(
+    own_cache: None, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """The compiler's code itself, of the smallest learner, with two members; and what people hear."""
     learners = [make("evaluators", "bc") for _ in range(2)]
     set_engine(learners[1], "compiled")
@@ -163,26 +167,44 @@ def test_a_compiled_update_is_the_update(own_cache: None, capfd: pytest.CaptureF
     assert said.count("compiling an update") == said.count("compiled in") == 1
 
     # A run that goes on has the same numbers as one that never stopped, and nothing is compiled again.
-    state = learners[1].state_dict()
-    draws = runs[1]._random.state_dict()
-    state = {**state, "networks": {key: value.clone() for key, value in state["networks"].items()}}
-    state["optimisers"] = {name: _copied(one) for name, one in state["optimisers"].items()}
-    state["random"] = {name: [one.clone() for one in many] for name, many in state["random"].items()}
-    again = make("evaluators", "bc")
-    set_engine(again, "compiled")
-    continued = updates_of(again, graphs_for(again, torch.device("cpu")))
-    again.load_state_dict(state)
-    continued._random.load_state_dict(draws)
+    state, draws = deepcopy(learners[1].state_dict()), runs[1]._random.state_dict()
+
+    def go_on() -> Any:
+        again = make("evaluators", "bc")
+        set_engine(again, "compiled")
+        continued = updates_of(again, graphs_for(again, torch.device("cpu")))
+        again.load_state_dict(deepcopy(state))
+        continued._random.load_state_dict(draws)
+        for _ in range(3):
+            continued(False)
+        assert again.engine == "compiled"
+        return again
+
     for _ in range(3):
         runs[1](False)
-        continued(False)
-    assert all(torch.equal(a, b) for a, b in zip(learners[1].parameters(), again.parameters(), strict=True))
+
+    def same(again: Any) -> bool:
+        return all(torch.equal(a, b) for a, b in zip(learners[1].parameters(), again.parameters(), strict=True))
+
+    assert same(go_on())
+    # Nor does another process ask the compiler, or import it.
+    with monkeypatch.context() as patch:
+        patch.setattr(compiled, "_here", {})
+        for module in ("torch._inductor", "torch._dynamo", "torch._subclasses.fake_tensor"):
+            patch.setitem(sys.modules, module, None)
+        assert same(go_on())
     assert "compil" not in capfd.readouterr().err
 
-
-def _copied(state: dict[str, Any]) -> dict[str, Any]:
-    kept = {number: {key: value.clone() for key, value in one.items()} for number, one in state["state"].items()}
-    return {"state": kept, "param_groups": state["param_groups"]}
+    # What was damaged is compiled again, and kept again.
+    (file,) = (tmp_path / "known").iterdir()
+    content = file.read_bytes()
+    # A new file, since this process has the old one in its memory.
+    file.unlink()
+    file.write_bytes(content[: len(content) // 2])
+    monkeypatch.setattr(compiled, "_here", {})
+    assert same(go_on())
+    assert "compiled in" in capfd.readouterr().err
+    assert file.read_bytes() == content
 
 
 class Own(Learner):
@@ -284,7 +306,7 @@ def test_a_broken_compiler_costs_a_line_and_nothing_else(
     def fail(recording: Recording) -> Any:
         raise OSError("no space left")
 
-    monkeypatch.setattr(compiled, "_compiled", fail)
+    monkeypatch.setattr(compiled, "compile_anew", fail)
     learners = [make("evaluators", "bc") for _ in range(2)]
     set_engine(learners[1], "compiled")
     runs = [updates_of(learner, graphs_for(learner, torch.device("cpu"))) for learner in learners]
