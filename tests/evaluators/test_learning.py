@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from cudc_bench import plugins
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Episodes
 
-from .helpers import make
+from .helpers import LABELLED, make
 
 STEPS, GOAL, SPEED = 20, 0.5, 0.2
 SETTINGS = {"width": 32, "batch_size": 64, "learning_rate": 1e-3, "discount": 0.9, "critic_tau": 0.02}
@@ -83,7 +82,7 @@ def share_on_mixed_data(name):
     return share(train(name, (best, worst, worst, worst), 900))
 
 
-@pytest.mark.parametrize("name", plugins.names("evaluators"))
+@pytest.mark.parametrize("name", LABELLED)
 def test_reaches_nine_tenths_of_the_optimum_from_good_data(name):
     assert share(train(name, (best,), 800)) > 0.9
 
