@@ -1,6 +1,7 @@
 """Pictures of the leaderboard's site for the README: ``make screenshots RECORDS=results``. Needs Chromium and the extra [dev].
 
-``python docs/screenshots.py domains leaderboard/site/pictures`` draws the pictures of the domains that the site shows; needs EGL or OSMesa.
+``python docs/screenshots.py domains leaderboard/site/pictures`` draws the site's pictures of the domains, still and moving; needs EGL or
+OSMesa.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import cudc_bench
 from cudc_bench.envs.domains import DOMAINS
 
 WIDTH, HEIGHT = 1200, 1000
+SECONDS, RATE = 5, 10  # of a moving picture, and frames in each of them
+HELD = 12  # steps that a random action lasts in it
 SETTLED = 8  # steps without an action, after which a body stands or falls as it does
 
 
@@ -50,7 +53,7 @@ def main(records: str, output: str) -> None:
 
 
 def draw_domains(output: str) -> None:
-    """Each domain a few steps after a reset."""
+    """Each domain a few steps after a reset, and how it moves by random actions from there on."""
     import gymnasium
     import numpy as np
     from PIL import Image
@@ -62,6 +65,18 @@ def draw_domains(output: str) -> None:
             environment.step(np.zeros(environment.action_space.shape, np.float32))
         path = Path(output) / f"{name}.webp"
         Image.fromarray(environment.render()).save(path, quality=82, method=6)
+        print(path)
+        rng, step = np.random.default_rng(1), 1 / environment.metadata["render_fps"]
+        frames, action, shown = [], np.zeros(environment.action_space.shape, np.float32), 0
+        for t in range(round(SECONDS / step)):
+            if t % HELD == 0:
+                action = rng.uniform(-1, 1, action.shape).astype(np.float32)
+            environment.step(action)
+            if (t + 1) * step * RATE >= shown + 1:
+                frames.append(Image.fromarray(environment.render()).resize((280, 210), Image.Resampling.LANCZOS))
+                shown += 1
+        path = path.with_name(f"{name}-moving.webp")
+        frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(1000 / RATE), loop=0, quality=40, method=6)
         print(path)
 
 

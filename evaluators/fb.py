@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
@@ -35,11 +35,14 @@ class FBConfig(NoisyZeroShotConfig):
         feature_width: of the hidden layers of B.
         ortho: weight of B's orthonormality.
         shared_embeddings: whether both forward maps have their embeddings in common.
+        reduce: what is taken of the two forward maps, in targets and by the actor: the smaller (controllable_agent) or the mean (metamotivo,
+            for dm_control).
     """
 
     feature_width: PositiveInt = 526
     ortho: NonNegativeFloat = 1.0
     shared_embeddings: bool = True
+    reduce: Literal["min", "mean"] = "min"
 
 
 class FB(ZeroShotLearner):
@@ -76,12 +79,16 @@ class FB(ZeroShotLearner):
     def direction(self, labelled: Labelled) -> Tensor:
         return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
 
+    def _one(self, both: Tensor) -> Tensor:
+        """Of what both forward maps say (E, 2, ...), (E, ...)."""
+        return both.amin(1) if self.config.reduce == "min" else both.mean(1)
+
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config, following = self.config, batch.next_observation
         with torch.no_grad():
             z = self.task_vectors(self.backward_map(batch.observation))
             later = self.target_forward_map(following, z, self.sample(following, z))
-            target = measures(later, self.target_backward_map(following)).amin(1)
+            target = self._one(measures(later, self.target_backward_map(following)))
         ahead, back = self.forward_map(batch.observation, z, batch.action), self.backward_map(following)
         found = measures(ahead, back)
         fb_loss = (0.5 * off_diagonal((found - config.discount * target[:, None]).square()) - on_diagonal(found)).sum(1)
@@ -89,7 +96,8 @@ class FB(ZeroShotLearner):
         self.minimise("maps", fb_loss + config.ortho * ortho_loss)
 
         with frozen(self.forward_map):
-            values = (self.forward_map(batch.observation, z, self.sample(batch.observation, z)) * z[:, None]).sum(-1).amin(1)
+            values = (self.forward_map(batch.observation, z, self.sample(batch.observation, z)) * z[:, None]).sum(-1)
+            values = self._one(values)
             actor_loss = -values.mean(1)
             self.minimise("actor", actor_loss)
         soft_update(self.forward_map, self.target_forward_map, config.target_tau)

@@ -125,11 +125,15 @@ class Figure:
 
 @dataclass(frozen=True)
 class Picture:
-    """An image below the site's root, or a video, the words for those who do not see it, and a caption."""
+    """An image below the site's root, or a video, the words for those who do not see it, and a caption.
+
+    ``still`` is what those see instead who want nothing on a page to move.
+    """
 
     path: str
     alt: str
     caption: str = ""
+    still: str = ""
 
     @property
     def moves(self) -> bool:

@@ -33,7 +33,7 @@ from .boards import Boards
 from .catalogue import Catalogue
 from .models import HtmlTable, Item, Page, Row
 from .palette import palette_css
-from .parts import ComparisonPage, Site, brief, clip_path, picture_path, pictures_of
+from .parts import ComparisonPage, Site, brief, clip_path, moving_path, picture_path, pictures_of
 from .runs import Runs
 
 ASSETS = ("site.css", "site.js")
@@ -56,7 +56,8 @@ def site_files(site: Site) -> dict[str, str | bytes]:
             for page in pages()
         ]  # fmt: skip
 
-    files |= {picture_path(name): (here / "pictures" / f"{name}.webp").read_bytes() for name in sorted(pictures_of(site))}
+    for path in (one(name) for name in sorted(pictures_of(site)) for one in (picture_path, moving_path)):
+        files[path] = (here / "pictures" / posixpath.basename(path)).read_bytes()
     for table in site.tables:
         for task in table.tasks:
             clip = site.clips.get((table.slug, task))

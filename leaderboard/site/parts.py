@@ -349,8 +349,11 @@ def domain_text(name: str) -> str:
 
 
 def domain_pictures(name: str) -> tuple[Picture, ...]:
-    """The picture of a domain, if there is one."""
-    return (Picture(picture_path(name), f"A picture of {domain_text(name)} in MuJoCo.", domain_text(name)),) if name in DOMAINS else ()
+    """The moving picture of a domain, if there is one."""
+    if name not in DOMAINS:
+        return ()
+    text, still = domain_text(name), picture_path(name)
+    return (Picture(moving_path(name), f"{text} in MuJoCo, moved by random actions.", f"{text}, moved by random actions", still),)
 
 
 def number(value: float) -> Item:
@@ -407,8 +410,13 @@ def pictures_of(site: Site) -> set[str]:
 
 
 def picture_path(domain: str) -> str:
-    """The picture of a domain."""
+    """The still picture of a domain."""
     return f"site/{domain}.webp"
+
+
+def moving_path(domain: str) -> str:
+    """A few seconds of a domain."""
+    return f"site/{domain}-moving.webp"
 
 
 def task_path(table: Table, task: str) -> str:

@@ -40,6 +40,10 @@ RUN = {
     (DATA, "import jax"): "test_jax_trains",
     (POLICIES, "torch.export.load"): "test_policies_leave",
     (POLICIES, "render_policy"): "test_policies_leave",
+    (
+        "docs/how-to/zero-shot.md",
+        "ask_policy",
+    ): "tests/evaluators/zero_shot/test_running.py::test_a_user_asks_and_sees_the_video",
     (METHOD, "class RE3("): "tests/test_plugin.py",
     (METHOD, "class TestRE3"): "tests/test_plugin.py",
     (LEARNER, "class AWAC("): "tests/test_plugin.py",

@@ -138,7 +138,7 @@ def test_command_prints_tables_problems_and_files(make_record, save, tmp_path):
         str(tmp_path / "out" / "index.html")
     }
     assert (len(printed), set(printed)) == (len(expected), expected)
-    assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js", "walker.webp"})
+    assert len(expected) == 2 * len(FILES | OVERALL) + len({"index.html", "site.css", "site.js", "walker.webp", "walker-moving.webp"})
 
     told = run(results, "--output", tmp_path / "out", "--profile", "cpu", "--json")
     found = LeaderboardDocument.model_validate_json(told.stdout)

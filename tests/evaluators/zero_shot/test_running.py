@@ -23,6 +23,7 @@ from cudc_bench.evaluators.policies.stored import learner_path, policy_path
 from cudc_bench.evaluators.running.labels import Interview, Question, draw_labels
 from cudc_bench.leaderboard.intake.submit import RefusedError
 
+from ...documents.pages import block
 from ...served import briefly
 from ..helpers import make
 from ..test_rendering import Sketch
@@ -176,7 +177,7 @@ def test_the_policy_beside_a_record_is_that_of_its_task(base, algo):
 def test_labels_of_another_dataset(base):
     cudc_bench.collect("random", profile="smoke", dataset_id="walker/other-v0")
     found = evaluated(labels_from="walker/other-v0", tasks=["walk"])
-    ((path, record),) = found.values()
+    ((_, record),) = found.values()
     assert record.zero_shot.source.id == "walker/other-v0"
     assert record.group == f"smoke (labels of walker/other-v0 {read_manifest('walker/other-v0').fingerprint[:8]})"
     assert "--labels-from walker/other-v0" in record.command
@@ -239,9 +240,16 @@ def test_a_task_that_is_asked_for_later_is_answered_as_it_was_at_once(base):
     assert by_file.norm == of_few.norm == asked.norm
 
 
-def test_a_user_writes_a_reward_asks_and_sees_the_video(base, cli, monkeypatch):
+def test_a_user_asks_and_sees_the_video(base, cli, monkeypatch):
     """The story of docs/how-to/zero-shot.md."""
     (path, _), *_ = evaluated(tasks=["walk"]).values()
+    program = block("docs/how-to/zero-shot.md", "ask_policy").replace("my_rewards", "zero_shot_rewards")
+    program = program.replace("results/cpu/walker/walk/cudc-v0/fb-seed1.json", str(path))
+    known: dict = {}
+    with briefly():
+        exec(program, known)
+    assert len(known["asked"].returns) == 10
+    assert known["policy"].act(np.zeros(24, np.float32)).shape == (6,)
     done = cli("ask", str(path), "--reward", "zero_shot_rewards:hop", "--episodes", "2", brief=True)
     assert done.code == 0, done.err
     record = Path(done.out.strip())

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.leaderboard.intake.load import load_records
@@ -42,8 +44,10 @@ def test_without_a_policy_there_is_nothing_to_make_a_video_of(results: Path) -> 
     assert "700.0, the mean of 1 episode" in page
     assert "its policy is not beside its record" in page
     assert "cudc-bench render" not in page
-    assert 'src="../site/walker.webp"' in page
-    assert files["site/walker.webp"][8:12] == b"WEBP"
+    assert 'srcset="../site/walker.webp"><img src="../site/walker-moving.webp"' in page
+    for name in ("walker", "walker-moving"):
+        with Image.open(BytesIO(files[f"site/{name}.webp"])) as picture:
+            assert (picture.format, picture.n_frames > 1) == ("WEBP", name != "walker")
     assert not any("best-" in name for name in files)
 
 

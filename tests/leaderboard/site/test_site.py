@@ -440,7 +440,7 @@ def test_text_of_strangers_stays_text(make_record, a, b, c, d):
         assert all(character.isprintable() or character == "\n" for character in content)
         assert len([*page.iter("script")]) == 1
         assert not [one for one in page.iter() if one.tag in {"b", "iframe", "object"} or any(name.startswith("on") for name in one.attrib)]
-        assert {posixpath.basename(one.get("src")) for one in page.iter("img")} <= {"walker.webp"}
+        assert {posixpath.basename(one.get("src")) for one in page.iter("img")} <= {"walker-moving.webp"}
         assert max(Counter(one.get("id") for one in page.iter() if one.get("id")).values()) == 1
         links = [link for one in page.iter("a") if not PAPER.fullmatch(link := one.get("href"))]
         assert all(posixpath.normpath(posixpath.join(posixpath.dirname(path), link.partition("#")[0] or posixpath.basename(path))) in files
