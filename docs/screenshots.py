@@ -70,7 +70,7 @@ def draw_domains(output: str) -> None:
         frames, action, shown = [], np.zeros(environment.action_space.shape, np.float32), 0
         for t in range(round(SECONDS / step)):
             if t % HELD == 0:
-                action = rng.uniform(-1, 1, action.shape).astype(np.float32)
+                action = np.asarray(rng.uniform(-1, 1, action.shape), np.float32)
             environment.step(action)
             if (t + 1) * step * RATE >= shown + 1:
                 frames.append(Image.fromarray(environment.render()).resize((280, 210), Image.Resampling.LANCZOS))

@@ -35,8 +35,8 @@ class FBConfig(NoisyZeroShotConfig):
         feature_width: of the hidden layers of B.
         ortho: weight of B's orthonormality.
         shared_embeddings: whether both forward maps have their embeddings in common.
-        reduce: what is taken of the two forward maps, in targets and by the actor: the smaller (controllable_agent) or the mean (metamotivo,
-            for dm_control).
+        reduce: what is taken of the two forward maps, in targets and by the actor: the smaller (controllable_agent), or the mean
+            (metamotivo, for dm_control).
     """
 
     feature_width: PositiveInt = 526
