@@ -66,9 +66,9 @@ class OneStepFB(ZeroShotLearner):
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
     @torch.no_grad()
-    def direction(self, labelled: Labelled) -> Tensor:
+    def infer(self, labelled: Labelled) -> Tensor:
         weights = (self.config.temperature * labelled.reward).softmax(-1) * labelled.reward
-        return torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1)))
+        return normalised(torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1))))
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config = self.config
@@ -111,15 +111,14 @@ class _Actor(nn.Module):
 
     def __init__(self, random: MemberRandom, inputs: int, action: int, width: int, squash: bool) -> None:
         super().__init__()
-        self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *mlp(random, width, width, width, action))
-        self.bound = Activation(torch.tanh if squash else _clipped)
-        last: Any = self.layers[-1]
+        last = mlp(random, width, width, width, action, output=torch.tanh if squash else _clipped)
+        self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *last)
         with torch.no_grad():
-            last.weight.mul_(0.1)
+            self.layers[-2].weight.mul_(0.1)
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
-        actions: Tensor = self.bound(self.layers(torch.cat([observation, z], -1)))
+        actions: Tensor = self.layers(torch.cat([observation, z], -1))
         return actions
 
 
