@@ -173,26 +173,35 @@ def centred(m: Member, s: Tensor) -> Tensor:
     return trunk_mlp(m.maps[0], s).detach() - getattr(m, "mean", 0.0)
 
 
-def hilp(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
-    """Σ_k |ψ_k - (x(s') + γ ψ̄_least)|²; Σ_k |κ - 1[A < 0]| (r + γ_h (1 - reached) V̄_k(s', g) - V_k(s, g))².
-
-    The actor ascends min_k ψ_kᵀ z.
-    """
-    x = centred(m, b.s_next)
+def successor_step(m: Member, b: Transitions, x: Tensor, v: Any) -> tuple[Tensor, Tensor]:
+    """Σ_k |ψ_k - (x(s') + γ ψ̄_least)|²: z, and the loss."""
     z = tasks(m, norm(x @ torch.linalg.inv(x.T @ x / len(x) + 1e-5 * torch.trace(x.T @ x / len(x)) * torch.eye(x.shape[1]))), v)
     with torch.no_grad():
         a_next = draw(m, b.s_next, z, v)
         one, two = (ahead(weights, b.s_next, z, a_next) for weights in m.target_successor)
         first = m.branch((one * z).sum(-1) < (two * z).sum(-1), "the first head is smaller")
         y = x + v.discount * torch.stack([one[i] if first[i] else two[i] for i in range(len(x))])
-    heads = [ahead(weights, b.s, z, b.a) for weights in m.successor]
-    if v.q_loss:
-        successor_loss = sum((((one * z).sum(-1) - (y * z).sum(-1)) ** 2).mean() for one in heads)
-    else:
-        successor_loss = sum(((one - y) ** 2).mean() for one in heads)
-    m.adam["successor"].minimise(successor_loss)
+    errors = [ahead(weights, b.s, z, b.a) - y for weights in m.successor]
+    loss = sum((((one * z).sum(-1) if v.q_loss else one) ** 2).mean() for one in errors)
+    m.adam["successor"].minimise(loss)
+    m.adam["features"].rate = v.feature_rate * v.learning_rate
+    return z, loss
 
-    anywhere = m.branch(m.uniform(len(x)) < v.random_goals, "any state is the goal")
+
+def ascend(m: Member, b: Transitions, z: Tensor, v: Any) -> Tensor:
+    """The actor ascends min_k ψ_kᵀ z, and ψ's slow copy follows."""
+    action = draw(m, b.s, z, v)
+    one, two = ((ahead(weights, b.s, z, action) * z).sum(-1) for weights in m.successor)
+    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two)
+    m.adam["actor"].minimise(-q.mean())
+    follow(m.target_successor, m.successor, v.target_tau)
+    return q.mean()
+
+
+def hilp(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """Features: Σ_k |κ - 1[A < 0]| (r + γ_h (1 - reached) V̄_k(s', g) - V_k(s, g))², r = reached - 1."""
+    z, successor_loss = successor_step(m, b, centred(m, b.s_next), v)
+    anywhere = m.branch(m.uniform(len(z)) < v.random_goals, "any state is the goal")
     g = torch.where(anywhere[:, None], b.other, b.later)
     reached = m.branch(((b.s - g) ** 2).sum(-1).sqrt() < 1e-6, "the goal is reached").double()
     with torch.no_grad():
@@ -204,18 +213,25 @@ def hilp(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     distances = [distance(weights, b.s, g) for weights in m.maps]
     feature_loss = sum((weight * (y + one) ** 2).mean() for y, one in zip(targets, distances, strict=True))
     follow(m.target_maps, m.maps, v.feature_tau)
-    m.adam["features"].rate = v.feature_rate * v.learning_rate
     m.adam["features"].minimise(feature_loss)
     m.mean = 0.995 * getattr(m, "mean", 0.0) + 0.005 * mean_of_phi
-
-    action = draw(m, b.s, z, v)
-    one, two = ((ahead(weights, b.s, z, action) * z).sum(-1) for weights in m.successor)
-    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two)
-    m.adam["actor"].minimise(-q.mean())
-    follow(m.target_successor, m.successor, v.target_tau)
+    q = ascend(m, b, z, v)
     return {
-        "successor_loss": successor_loss, "feature_loss": feature_loss, "actor_loss": -q.mean(), "q": q.mean(),
+        "successor_loss": successor_loss, "feature_loss": feature_loss, "actor_loss": -q, "q": q,
         "distance": (distances[0] + distances[1]).mean() / 2, "advantage": advantage.mean(),
+    }  # fmt: skip
+
+
+def laplacian(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
+    """Features: |φ(s) - φ(s')|² + off[(φ φᵀ)²] - 2 diag φ φᵀ."""
+    z, successor_loss = successor_step(m, b, encode_task(m.map, b.s_next).detach(), v)
+    phi = encode_task(m.map, b.s)
+    change, ortho_loss = ((phi - encode_task(m.map, b.s_next)) ** 2).mean(), 2 * orthonormal(phi)
+    m.adam["features"].minimise(change + ortho_loss)
+    q = ascend(m, b, z, v)
+    return {
+        "successor_loss": successor_loss, "feature_loss": change + ortho_loss, "change": change, "ortho_loss": ortho_loss, "actor_loss": -q,
+        "q": q,
     }  # fmt: skip
 
 
@@ -261,6 +277,7 @@ def td_jepa(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
 
 COMMON = {"learning_rate": 1e-4, "discount": 0.98, "target_tau": 0.01, "z_mix": 0.5}
 NOISE = {"noise_std": 0.2, "noise_clip": 0.3}
+SUCCESSOR = COMMON | NOISE | {"q_loss": False, "feature_rate": 5.0}
 SEEN = frozenset({"s", "a", "s_next"})
 MAPS = {"maps": ("forward_map", "backward_map"), "actor": ("actor",)}
 
@@ -275,11 +292,13 @@ ZERO_SHOT = {
     ),
     "hilp": Oracle(
         hilp, act_of_nothing,
-        COMMON | NOISE | {
-            "q_loss": False, "feature_rate": 5.0, "feature_discount": 0.96, "feature_tau": 0.005, "expectile": 0.5, "random_goals": 0.375,
-        },
+        SUCCESSOR | {"feature_discount": 0.96, "feature_tau": 0.005, "expectile": 0.5, "random_goals": 0.375},
         {"successor": ("successor",), "features": ("maps",), "actor": ("actor",)}, SEEN | {"later", "other"},
         lambda m, b, r, v: norm(regress(centred(m, b.s_next), r)),
+    ),
+    "laplacian": Oracle(
+        laplacian, act_of_nothing, SUCCESSOR, {"successor": ("successor",), "features": ("map",), "actor": ("actor",)}, SEEN,
+        lambda m, b, r, v: norm(regress(encode_task(m.map, b.s_next).detach(), r)),
     ),
     "td-jepa": Oracle(
         td_jepa, lambda m, s, v: act_of_nothing(m, encode_state(m.state_encoder, s), v),
