@@ -367,6 +367,8 @@ PARTS: Mapping[str, Callable[[], str]] = {
         "TrainingMetrics",
         "Submission",
         "Reran",
+        "ZeroShot",
+        "LabelSource",
     ),
     "reference": _models("cudc_bench.artefacts.references", "Reference", "ReferenceRun"),
 }

@@ -66,9 +66,9 @@ class OneStepFB(ZeroShotLearner):
         self.add_optimiser("actor", [self.actor], config.learning_rate)
 
     @torch.no_grad()
-    def infer(self, labelled: Labelled) -> Tensor:
+    def direction(self, labelled: Labelled) -> Tensor:
         weights = (self.config.temperature * labelled.reward).softmax(-1) * labelled.reward
-        return normalised(torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1))))
+        return torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1)))
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config = self.config
@@ -113,8 +113,9 @@ class _Actor(nn.Module):
         super().__init__()
         last = mlp(random, width, width, width, action, output=torch.tanh if squash else _clipped)
         self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *last)
+        outermost: Any = self.layers[-2]
         with torch.no_grad():
-            self.layers[-2].weight.mul_(0.1)
+            outermost.weight.mul_(0.1)
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
