@@ -46,6 +46,7 @@ class OneStepFB(ZeroShotLearner):
     citation = "Zheng et al. 2026"
     paper = "https://arxiv.org/abs/2602.11399"
     summary = "forward-backward representations of the data's policy"
+    has_goals = False  # B is of a state and an action
     rule = "normalised mean of softmax(r) r B(s, a)"
     wants_next_action = True
 

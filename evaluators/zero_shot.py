@@ -80,6 +80,7 @@ class ZeroShotLearner(OfflineLearner):
 
     Class attributes, beside those of every evaluator:
         rule: how z follows from labelled transitions, in a few words, for records.
+        has_goals: whether a state alone can be a task.
 
     Attributes:
         actor: the policy's mean, (E, B, S) and (E, B, d) -> (E, B, A).
@@ -87,6 +88,7 @@ class ZeroShotLearner(OfflineLearner):
 
     learns_from_rewards: ClassVar[bool] = False
     rule: ClassVar[str]
+    has_goals: ClassVar[bool] = True
 
     actor: nn.Module
 
@@ -99,6 +101,17 @@ class ZeroShotLearner(OfflineLearner):
     def infer(self, labelled: Labelled) -> Tensor:
         """The vector z of each task (E, K, d), of length √d; zero where all rewards are."""
         return normalised(self.direction(labelled))
+
+    def toward(self, goal: Tensor, labelled: Labelled) -> Tensor:
+        """As :meth:`direction`, of the task whose only rewarded state is a goal (E, S), among those of some transitions, (E, 1, d)."""
+        state, nothing = goal[:, None], torch.zeros_like(labelled.action[:, :1])
+        reward = torch.zeros_like(labelled.reward[:, :1])
+        return self.direction(
+            Labelled(
+                torch.cat([labelled.observation, state], 1), torch.cat([labelled.action, nothing], 1),
+                torch.cat([labelled.next_observation, state], 1), torch.cat([reward, torch.ones_like(reward[..., :1])], -1),
+            )
+        )  # fmt: skip
 
     @property
     def acting(self) -> nn.Module:

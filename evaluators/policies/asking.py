@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import re
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib import invalidate_caches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import ArrayLike
 
+from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import RewardFunction, exists, read_manifest
 from cudc_bench.artefacts.provenance import command_line, versions
 from cudc_bench.artefacts.records import LABELS, Evaluation, LabelSource, Record, ZeroShot, read_record, record_path, write_record
-from cudc_bench.envs import Domain, check_domain, check_tasks
+from cudc_bench.data.reader import load_episodes
+from cudc_bench.envs import Domain, check_domain, check_tasks, make_simulators
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
+from cudc_bench.envs.simulator import Float32
 from cudc_bench.errors import UsageError
 from cudc_bench.execution.parallel import Job, run_jobs
 from cudc_bench.execution.progress import Advance, warn
-from cudc_bench.files import check_folder, check_path
+from cudc_bench.files import check_folder, check_path, read_limited, unwritable, write_atomically
 
 from ..running.labels import Interview, Question, draw_labels
 from ..running.loop import FINAL, Arena
 from ..zero_shot import ZeroShotLearner
 from .stored import LEARNER, load_learner, save_policy
+
+_LARGEST_GOAL = 1_000_000  # bytes
+_GOAL = '''"""A goal that a learner without rewards was asked to reach: the reward is minus the distance from its observation."""
+
+import numpy as np
+
+GOAL = np.array([{numbers}], np.float32)
+
+
+def {name}(measured):
+    return -np.linalg.norm(measured["observation"] - GOAL, axis=-1)
+'''
 
 
 @dataclass(frozen=True)
@@ -51,6 +73,7 @@ def ask_policy(
     reward: str | Callable[[Measured], Any] | None = None,
     *,
     task: str | None = None,
+    goal: str | Path | ArrayLike | None = None,
     labels: int = LABELS,
     labels_from: str | None = None,
     episodes: int = 10,
@@ -62,6 +85,9 @@ def ask_policy(
         policy: a record of the learner, of any task, or its file ``*.learner.pt``.
         reward: an own reward function, ``"module:function"`` or itself; see ``cudc_bench.envs.rewards``.
         task: a task of the domain instead.
+        goal: a state to reach instead: an observation (S,) or a physics state (P,), or a file ``*.npy`` of one, or ``"3:500"``, step 500 of
+            episode 3 of the dataset. The reward is then minus the distance from its observation, by a function that is written into the
+            output, where :func:`render_policy` and others find it as any other.
         labels: how many transitions' rewards it is told.
         labels_from: the dataset that they are drawn from; that which it was trained on unless given.
         episodes: how many it is tried in.
@@ -75,16 +101,25 @@ def ask_policy(
     place = _record_of(check_path(policy, "the policy"))
     record = read_record(place)
     facts = check_domain(record.dataset.domain)
-    custom, question, source = _question(record, facts, reward, task, labels, labels_from)
+    if (reward is not None) + (task is not None) + (goal is not None) != 1:
+        raise UsageError("ask for one thing: --reward module:function, --task or --goal.")
+    if record.zero_shot is None:
+        raise UsageError(f"{record.algorithm} was trained for {record.dataset.task} alone; ask learners without rewards, such as fb.")
     if episodes < 1:
         raise UsageError(f"--episodes takes 1 or more, not {episodes}.")
     folder = check_folder(output, "the output")
+    wanted = None if goal is None else goal_observation(goal, labels_from or record.dataset.id, facts)
+    if wanted is not None:
+        if not plugins.load("evaluators", record.algorithm).has_goals:
+            raise UsageError(f"{record.algorithm} takes no --goal: a state alone is no task for it; give --reward.")
+        reward = write_goal(wanted, folder)
+    custom, question, source = _question(record, facts, reward, task, labels, labels_from)
     agent = load_learner(place, record)
     used = record.dataset.used if labels_from is None else None
     (answer,) = run_jobs(
         _answer, [Job(f"ask for {question.task}", 2, {
             "agent": agent, "facts": facts, "question": question, "custom": custom, "source": source, "used": used, "episodes": episodes,
-            "step": record.final.step,
+            "step": record.final.step, "goal": wanted,
         })], unit="steps", workers=1, threads=1,
     )  # fmt: skip
     returns, interview = answer
@@ -95,6 +130,8 @@ def ask_policy(
         warn(f"none of the {rewards.numel():,} labels has a reward, so that this policy pursues nothing")
     seconds = round(time.monotonic() - start, 1)
     options = {"--task": question.task} if custom is None else {"--reward": custom.reference}
+    if isinstance(goal, str | Path):
+        options = {"--goal": str(goal)}
     options |= {} if labels == LABELS else {"--labels": str(labels)}
     options |= {} if labels_from is None else {"--labels-from": labels_from}
     evaluation = Evaluation(step=record.final.step, returns=returns)
@@ -143,10 +180,6 @@ def _question(
     Raises:
         UsageError: it cannot be asked.
     """
-    if record.zero_shot is None:
-        raise UsageError(f"{record.algorithm} was trained for {record.dataset.task} alone; ask learners without rewards, such as fb.")
-    if (reward is None) == (task is None):
-        raise UsageError("ask for one thing: --reward module:function, or --task.")
     if labels < 1:
         raise UsageError(f"--labels takes 1 or more, not {labels}.")
     custom = None if reward is None else load_reward(reward, facts)
@@ -164,12 +197,64 @@ def _question(
     return custom, Question(name, labels, own, source), data
 
 
+def goal_observation(goal: str | Path | ArrayLike, dataset_id: str, domain: Domain) -> Float32:
+    """The observation (S,) of a goal, as :func:`ask_policy` takes it.
+
+    Raises:
+        UsageError: there is no such file, episode or step, or it holds no state of the domain.
+    """
+    if isinstance(goal, str) and (match := re.fullmatch(r"(\d+):(\d+)", goal)):
+        if not exists(dataset_id):
+            raise UsageError(f"--goal {goal} is a state of '{dataset_id}', which is not here.")
+        episode, step = map(int, match.groups())
+        flat = load_episodes(dataset_id, ("observations",))
+        if episode >= len(flat.lengths) or step > flat.lengths[episode]:
+            raise UsageError(f"'{dataset_id}' has no step {step} of episode {episode}; it has {len(flat.lengths)} episodes, from 0 on.")
+        found: Float32 = flat.split("observations")[episode][step]
+        return found
+    if isinstance(goal, str | Path):
+        path = check_path(goal, "the goal")
+        try:
+            array = np.load(io.BytesIO(read_limited(path, _LARGEST_GOAL)), allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise UsageError(f"--goal takes a file *.npy of a state, or EPISODE:STEP, not '{goal}' ({error}).") from None
+    else:
+        array = np.asarray(goal)
+    if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        raise UsageError("a goal is a state of finite real numbers.")
+    if array.shape == (domain.observation_size,):
+        return array.astype(np.float32)
+    if array.shape != (domain.physics_size,):
+        sizes = f"an observation ({domain.observation_size},) or a physics state ({domain.physics_size},)"
+        raise UsageError(f"a goal of {domain.name} is {sizes}, not of shape {array.shape}.")
+    (simulator,) = make_simulators(domain.name, 1)
+    observation = np.empty(domain.observation_size, np.float32)
+    simulator.set_state(array.astype(np.float64))
+    simulator.observe(observation)
+    return observation
+
+
+def write_goal(observation: Float32, folder: Path) -> str:
+    """Write the reward function of a goal into a folder, where Python finds it from now on, and return its reference."""
+    name = f"goal_{hashlib.sha256(observation.tobytes()).hexdigest()[:8]}"
+    text = _GOAL.format(name=name, numbers=", ".join(repr(float(one)) for one in observation))
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        write_atomically(folder / f"{name}.py", text.encode())
+    except OSError as error:
+        raise unwritable(f"the goal {folder / name}.py", error) from None
+    if str(folder.absolute()) not in sys.path:
+        sys.path.append(str(folder.absolute()))
+    invalidate_caches()
+    return f"{name}:{name}"
+
+
 def _answer(
     advance: Advance, *, agent: ZeroShotLearner, facts: Domain, question: Question, custom: CustomReward | None, source: str,
-    used: int | None, episodes: int, step: int,
+    used: int | None, episodes: int, step: int, goal: Float32 | None,
 ) -> tuple[list[float], Interview]:  # fmt: skip
     samples = draw_labels(source, facts, [question.task], question.labels, custom, used)
-    interview = Interview(agent, [samples], [question])
+    interview = Interview(agent, [samples], [question], None if goal is None else torch.from_numpy(goal)[None])
     actor = interview.actor()
     advance(1)
     returns = Arena(facts, custom or [question.task]).evaluate(actor, agent.seeds, FINAL, step, episodes)

@@ -63,6 +63,9 @@ def ask(
     policy: Annotated[str, typer.Argument(metavar="POLICY", help="A record of a learner without rewards, or its *.learner.pt.")],
     reward: RewardOption = None,
     task: Annotated[str | None, typer.Option("--task", help="A task of the domain, instead of --reward.")] = None,
+    goal: Annotated[
+        str | None, typer.Option("--goal", help="A state to reach instead: a file *.npy of one, or EPISODE:STEP of the dataset.")
+    ] = None,
     labels: Annotated[int, typer.Option("--labels", help="Transitions whose rewards it is told.")] = LABELS,
     labels_from: Annotated[
         str | None,
@@ -82,15 +85,19 @@ def ask(
 
     from .asking import ask_policy
 
-    asked = ask_policy(policy, reward, task=task, labels=labels, labels_from=labels_from, episodes=episodes, output=output)
+    asked = ask_policy(policy, reward, task=task, goal=goal, labels=labels, labels_from=labels_from, episodes=episodes, output=output)
     print(asked.record)
+    from cudc_bench.artefacts.records import read_record
+
+    function = read_record(asked.record).dataset.reward
+    labelled = "minus the distance from the goal, summed" if goal else f"{asked.rewarded:.1%} of the labels have a reward"
     echo(
-        f"{fmean(asked.returns):.1f} ± {pstdev(asked.returns):.1f} over {len(asked.returns)} episodes; {asked.rewarded:.1%} of the labels"
-        f" have a reward; asked and tried in {asked.seconds:.1f} s"
+        f"{fmean(asked.returns):.1f} ± {pstdev(asked.returns):.1f} over {len(asked.returns)} episodes; {labelled};"
+        f" asked and tried in {asked.seconds:.1f} s"
     )
     if render:
         from .rendering import render_policy
 
-        print(render_policy(asked.record, reward=reward, gl=gl or "").path)
+        print(render_policy(asked.record, reward=None if function is None else function.reference, gl=gl or "").path)
     else:
         echo(f"next: cudc-bench render {asked.record}")

@@ -119,11 +119,14 @@ class Interview:
         agent: E members.
         samples: of each member; all have as many.
         questions: the same for all members.
+        goal: the observation (E, S) that is each question's only rewarded state, instead of the labels' own rewards.
     """
 
-    def __init__(self, agent: ZeroShotLearner, samples: Sequence[Samples], questions: Sequence[Question]) -> None:
+    def __init__(
+        self, agent: ZeroShotLearner, samples: Sequence[Samples], questions: Sequence[Question], goal: Tensor | None = None
+    ) -> None:
         self._agent, self._questions = agent, questions
-        self._samples = samples
+        self._samples, self._goal = samples, goal
 
     @property
     def each(self) -> int:
@@ -132,7 +135,9 @@ class Interview:
 
     def told(self) -> Told:
         """What follows from the labels now; each question by itself, so that its answer depends on no other."""
-        found = [self._agent.direction(self.labelled(one)) for one in self._questions]
+        agent, goal = self._agent, self._goal
+        known = map(self.labelled, self._questions)
+        found = [agent.direction(one) if goal is None else agent.toward(goal, one) for one in known]
         raw = torch.cat(found, dim=1)
         return Told(normalised(raw), raw.norm(dim=-1))
 

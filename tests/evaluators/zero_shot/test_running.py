@@ -15,11 +15,12 @@ import cudc_bench
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.records import read_record
 from cudc_bench.data.reader import load_episodes
-from cudc_bench.envs import DOMAINS
+from cudc_bench.envs import DOMAINS, make_simulators
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.evaluators.policies import rendering
-from cudc_bench.evaluators.policies.stored import learner_path, policy_path
+from cudc_bench.evaluators.policies.rollout import recorded_seeds
+from cudc_bench.evaluators.policies.stored import learner_path, load_learner, policy_path
 from cudc_bench.evaluators.running.labels import Interview, Question, draw_labels
 from cudc_bench.leaderboard.intake.submit import RefusedError
 
@@ -267,15 +268,54 @@ def test_a_user_asks_and_sees_the_video(base, cli, monkeypatch):
     assert exported.is_file()
 
 
+@pytest.mark.parametrize("algo", ["fb", "hilp"])
+def test_a_goal_is_a_state_to_come_near(base, algo):
+    (path, record), *_ = evaluated(algo=algo, tasks=["walk"]).values()
+    flat = load_episodes(base, ("observations", "infos/physics"))
+    state, physics = (flat.split(name)[1][300] for name in ("observations", "infos/physics"))
+    np.save("state.npy", physics)
+    with briefly():
+        by_step = cudc_bench.ask_policy(path, goal="1:300", episodes=2)
+        by_file = cudc_bench.ask_policy(path, goal="state.npy", episodes=2, output="by-file")
+        by_array = cudc_bench.ask_policy(path, goal=state, episodes=2, output="by-array")
+    assert by_step.returns == by_file.returns == by_array.returns
+    found = read_record(by_step.record)
+    name = found.dataset.task
+    assert found.dataset.reward.reference == f"{name}:{name}"
+    assert Path(f"asked/{name}.py").is_file()
+    agent = load_learner(path, record)
+    if algo == "fb":
+        z = cudc_bench.load_policy(by_step.record).module.z[0, 0]
+        torch.testing.assert_close(z, agent.backward_map(torch.from_numpy(state)[None, None])[0, 0])
+    # The return is minus the summed distance, by playing the policy again.
+    monkey = cudc_bench.load_policy(by_step.record)
+    (simulator,) = make_simulators("walker", 1)
+    observations, total = np.empty((2, 24), np.float32), 0.0
+    simulator.reset(recorded_seeds(found, 1)[0])
+    simulator.observe(observations[0])
+    for _ in range(50):
+        observations[:] = observations[0]
+        simulator.step(monkey.act(observations)[0])
+        simulator.observe(observations[0])
+        total -= float(np.linalg.norm(observations[0] - state))
+    assert total == pytest.approx(by_step.returns[0], rel=1e-6)
+
+
 def test_what_is_asked_wrongly_is_one_line(base, tmp_path):
     (path, _), *_ = evaluated(tasks=["walk"]).values()
     with briefly():
+        (onestep,) = cudc_bench.evaluate("fb-onestep", dataset_id=BASE, tasks=["walk"], profile="smoke")
         (td3,) = cudc_bench.evaluate("td3", dataset_id="walker/walk/cudc-smoke-v0", profile="smoke")
     cases = [
         ((td3, None), {"task": "walk"}, "was trained for walk alone"),
         ((path, None), {}, "ask for one thing"),
         ((path, "zero_shot_rewards:hop"), {"task": "walk"}, "ask for one thing"),
         ((path, None), {"task": "fly"}, "fly"),
+        ((path, None), {"goal": "9999:0"}, "has no step 0 of episode 9999"),
+        ((path, None), {"goal": "nothing.npy"}, "takes a file"),
+        ((path, None), {"goal": np.zeros(5)}, "a goal of walker is"),
+        ((path, None), {"goal": np.full(24, np.nan)}, "finite real numbers"),
+        ((onestep, None), {"goal": np.zeros(24)}, "takes no --goal"),
         ((path, None), {"task": "walk", "labels": 0}, "--labels takes 1 or more"),
         ((path, None), {"task": "walk", "episodes": 0}, "--episodes takes 1 or more"),
         ((path, None), {"task": "walk", "labels_from": "walker/nothing-v0"}, "not here"),
