@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import requires
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cudc_bench.cli.options import JsonOption
 from cudc_bench.errors import RunError
@@ -86,29 +86,68 @@ def _cuda() -> tuple[bool, str]:
 def _updates() -> tuple[bool, str]:
     import torch
 
-    from cudc_bench import plugins
     from cudc_bench.learning.compiled import cache_folder, missing_compiler
-    from cudc_bench.learning.cuda_graphs import WARM_UP, Updater
-    from cudc_bench.learning.engines import graphs_for
-    from cudc_bench.learning.networks import MemberRandom
-    from cudc_bench.learning.replay import Episodes
 
     missing = missing_compiler()
     said = "long runs on a CPU are compiled" + (f", and kept in {cache_folder()}" if missing is None else f" not: {missing}")
     if not torch.cuda.is_available():
         return True, said
-    td3, random = plugins.load("evaluators", "td3"), MemberRandom([1], "replay", "cuda")
-    learner = td3(3, 2, td3.configure({"width": 32, "batch_size": 16}), [1], "cuda")
-    data = Episodes(1, 1, 50, 3, 2, random, rewards=True)
-    data.add(0, torch.randn(51, 3), torch.rand(50, 2), rewards=torch.rand(50))
-    one = torch.ones(1, dtype=torch.int64, device="cuda")
-    update = Updater(learner, lambda measure: data.sample(16, one, measure), random, graphs_for(learner, learner.device))
+    tried = [try_updates(kind, name, "cuda") for kind, name in (("evaluators", "td3"), ("collectors", "cudc"))]
+    return all(good for good, _ in tried), "; ".join([said, *(how for _, how in tried)])
+
+
+def try_updates(kind: str, name: str, device: str, engine: str = "auto") -> tuple[bool, str]:
+    """Some updates of a small learner.
+
+    Args:
+        kind: ``evaluators`` or ``collectors``.
+        name: the algorithm or method.
+        device: where.
+        engine: how they are to be carried out, see :mod:`cudc_bench.learning.engines`; ``auto`` captures them on CUDA.
+
+    Returns:
+        Whether they could be repeated without Python and gave finite numbers; and what happened.
+    """
+    from types import SimpleNamespace
+
+    import torch
+
+    from cudc_bench import plugins
+    from cudc_bench.learning.cuda_graphs import WARM_UP, Updater
+    from cudc_bench.learning.engines import graphs_for, set_engine
+    from cudc_bench.learning.networks import MemberRandom
+    from cudc_bench.learning.replay import Episodes
+
+    made = plugins.load(kind, name)
+    settings = {"width": 32, "batch_size": 16, "feature_dim": 16}
+    settings = {key: value for key, value in settings.items() if key in made.config_class.__dataclass_fields__}
+    observation, action, length = 3, 2, 50
+    if kind == "evaluators":
+        learner = made(observation, action, made.configure(settings), [1], device)
+    else:
+        # What a stage tells its collectors of a run; the stage itself is not known here.
+        sizes = SimpleNamespace(domain="walker", observation=observation, action=action, episode_length=length, seed_steps=length,
+                                update_every=1, steps=2 * length)  # fmt: skip
+        learner = made(sizes, made.configure("walker", settings), [1], device)
+    set_engine(learner, engine)
+    random, skill = MemberRandom([1], "replay", device), getattr(learner, "skill_size", 0)
+    data = Episodes(1, 1, length, observation, action, random, skill=skill, rewards=True)
+    skills = torch.rand(length, skill) if skill else None
+    data.add(0, torch.randn(length + 1, observation), torch.rand(length, action), skills, torch.rand(length))
+    one = torch.ones(1, dtype=torch.int64, device=device)
+
+    def draw(measure: bool) -> Any:
+        horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
+        return data.sample(settings["batch_size"], horizon, measure, getattr(learner, "min_horizon", None), following)
+
+    update = Updater(learner, draw, random, graphs_for(learner, learner.device))
     for _ in range(WARM_UP + 3):
         update(False)
     finite = all(bool(one.isfinite().all()) for one in learner.parameters())
     captured = learner.engine != "eager"
-    how = "captured and replayed as a graph" if captured else "cannot be captured as a graph, and go one by one"
-    return finite and captured, f"{said}; updates of a small learner {how} on CUDA{'' if finite else ', with results that are not finite'}"
+    how = "are repeated without Python" if captured else "cannot be captured, and go one by one"
+    wrong = "" if finite else ", with results that are not finite"
+    return finite and captured, f"updates of a small {name} {how} on {device.upper()}{wrong}"
 
 
 def _rendering() -> tuple[bool, str]:
