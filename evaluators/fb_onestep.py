@@ -112,11 +112,11 @@ class _Actor(nn.Module):
 
     def __init__(self, random: MemberRandom, inputs: int, action: int, width: int, squash: bool) -> None:
         super().__init__()
-        last = mlp(random, width, width, width, action, output=torch.tanh if squash else _clipped)
-        self.layers = nn.Sequential(Linear(random, inputs, width), Activation(torch.tanh), *last)
-        outermost: Any = self.layers[-2]
-        with torch.no_grad():
-            outermost.weight.mul_(0.1)
+        first, hidden, last = Linear(random, inputs, width), mlp(random, width, width, width), Linear(random, width, action)
+        last.weight.data.mul_(0.1)
+        self.layers = nn.Sequential(
+            first, Activation(torch.tanh), *hidden, Activation(torch.relu_), last, Activation(torch.tanh if squash else _clipped)
+        )
 
     def forward(self, observation: Tensor, z: Tensor) -> Tensor:
         """(E, B, S), (E, B, d) -> (E, B, A)."""
