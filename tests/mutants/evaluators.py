@@ -633,7 +633,6 @@ MUTANTS: list[Mutant] = [
     *mutants(
         "evaluators/successor_features.py", SUCCESSORS,
         ("normalised(whitened(x))", "normalised(x)", "whitened(x)"),
-        ("/ vectors.shape[1]\n", "\n"),
         ("RIDGE * spread", "10 * RIDGE * spread"),
         ("x = self.features(following)", "x = self.features(batch.observation)"),
         ("target = x + config.discount", "target = x + 1.02 * config.discount", "target = config.discount"),
@@ -648,6 +647,12 @@ MUTANTS: list[Mutant] = [
             "soft_update(self.successor, self.target_successor, 1.02 * config.target_tau)",
         ),
         ("self.features(labelled.next_observation)", "self.features(labelled.observation)"),
+    ),
+    survivor(
+        "evaluators/successor_features.py", SUCCESSORS,
+        "/ vectors.shape[1]\n",
+        "\n",
+        "the ridge goes with the moments, and what comes out is normalised",
     ),
     *mutants(
         "evaluators/hilp.py", ("hilp",),
