@@ -24,6 +24,7 @@ from .zero_shot import (
     off_diagonal,
     on_diagonal,
     orthonormality,
+    weighted_sums,
 )
 
 
@@ -77,7 +78,7 @@ class FB(ZeroShotLearner):
 
     @torch.no_grad()
     def direction(self, labelled: Labelled) -> Tensor:
-        return torch.bmm(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
+        return weighted_sums(labelled.reward, self.backward_map(labelled.next_observation)) / labelled.reward.shape[-1]
 
     def _one(self, both: Tensor) -> Tensor:
         """Of what both forward maps say (E, 2, ...), (E, ...)."""

@@ -69,7 +69,7 @@ class OneStepFB(ZeroShotLearner):
     @torch.no_grad()
     def direction(self, labelled: Labelled) -> Tensor:
         weights = (self.config.temperature * labelled.reward).softmax(-1) * labelled.reward
-        return torch.bmm(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1)))
+        return weighted_sums(weights, self.backward_map(torch.cat([labelled.observation, labelled.action], -1)))
 
     def learn(self, batch: Batch, plan: Any) -> dict[str, Tensor]:
         config = self.config

@@ -283,6 +283,14 @@ def orthonormality(vectors: Tensor) -> Tensor:
     return 0.5 * off_diagonal(products.square()) - on_diagonal(products)
 
 
+def weighted_sums(weights: Tensor, vectors: Tensor) -> Tensor:
+    """Sums (E, K, d) of vectors (E, m, d) with weights (E, K, m).
+
+    Of each member by itself: a product with a vector rounds by the size of a stack.
+    """
+    return torch.stack([row @ column for row, column in zip(weights, vectors, strict=True)])
+
+
 def least_squares(vectors: Tensor, reward: Tensor) -> Tensor:
     """The weights (E, K, d) that bring vectors (E, m, d) nearest to rewards (E, K, m), without an intercept; or the shortest of them.
 

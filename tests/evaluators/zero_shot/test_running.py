@@ -22,11 +22,13 @@ from cudc_bench.evaluators.policies import rendering
 from cudc_bench.evaluators.policies.rollout import recorded_seeds
 from cudc_bench.evaluators.policies.stored import learner_path, load_learner, policy_path
 from cudc_bench.evaluators.running.labels import Interview, Question, draw_labels
+from cudc_bench.execution.parallel import run_jobs
 from cudc_bench.leaderboard.intake.submit import RefusedError
+from cudc_bench.runs import execution
 
 from ...documents.pages import block
 from ...served import briefly
-from ..helpers import make
+from ..helpers import ZERO_SHOT, make
 from ..test_rendering import Sketch
 
 BASE = "walker/cudc-smoke-v0"
@@ -163,7 +165,7 @@ def test_a_named_labelled_dataset_stands_for_the_one_behind_it(base):
     assert answers(found)["walk", 10_000] == answers({("walk", 10_000): (path, record)})["walk", 10_000]
 
 
-@pytest.mark.parametrize("algo", ["fb", "fb-onestep", "hilp", "td-jepa"])
+@pytest.mark.parametrize("algo", ZERO_SHOT)
 def test_the_policy_beside_a_record_is_that_of_its_task(base, algo):
     found = evaluated(algo=algo, tasks=["stand", "flip"])
     observation = np.random.default_rng(0).normal(size=(4, 24)).astype(np.float32)
@@ -358,3 +360,18 @@ def test_records_of_one_training_are_made_again_by_one(base, tmp_path):
     paths = cudc_bench.evaluate("fb", "walker", ["walk", "run"], ["random"], profile="smoke", labels=[30, 10_000])
     results = cudc_bench.rerun(paths[1:], collect=True)
     assert [one.differences for one in results] == [(), (), ()]
+
+
+@pytest.mark.parametrize("algo", ZERO_SHOT)
+def test_trainings_side_by_side_answer_as_they_do_alone(base, algo, monkeypatch):
+    cudc_bench.collect("random", profile="smoke", dataset_id="walker/other-v0")
+    monkeypatch.setattr(execution, "run_jobs", lambda *given, **options: run_jobs(*given, **options | {"workers": 1}))
+
+    def found(output, *ids):
+        with briefly():
+            paths = cudc_bench.evaluate(algo, dataset_id=list(ids), profile="smoke", tasks=["walk", "run"], output=output)
+        return {path.relative_to(output): (path, read_record(path)) for path in paths}
+
+    together = found("together", BASE, "walker/other-v0")
+    assert {one.machine.get("beside", 1) for _, one in together.values()} == {2}
+    assert answers(together) == answers(found("alone", BASE) | found("alone", "walker/other-v0"))
