@@ -12,7 +12,17 @@ from cudc_bench.learning.networks import Activation, Ensemble, Linear, MemberRan
 from cudc_bench.learning.replay import Batch
 from cudc_bench.settings.config import NonNegativeFloat
 
-from .zero_shot import Labelled, ZeroShotConfig, ZeroShotLearner, measures, normalised, off_diagonal, on_diagonal, orthonormality
+from .zero_shot import (
+    Labelled,
+    ZeroShotConfig,
+    ZeroShotLearner,
+    measures,
+    normalised,
+    off_diagonal,
+    on_diagonal,
+    orthonormality,
+    weighted_sums,
+)
 
 
 @dataclass(frozen=True)
