@@ -547,7 +547,11 @@ MUTANTS: list[Mutant] = [
         ("draws[:, 1] < self.config.z_mix", "draws[:, 1] > self.config.z_mix", "draws[:, 1] < 0.5 * self.config.z_mix"),
         (")[..., None], others, uniform)", ")[..., None], embedded, uniform)"),
         ("math.sqrt(vectors.shape[-1]) / ", "1.02 * math.sqrt(vectors.shape[-1]) / ", "1.0 / "),
-        ("vectors.norm(dim=-1, keepdim=True)", "vectors.norm(p=1, dim=-1, keepdim=True)", "vectors.norm(dim=-1, keepdim=True).detach()"),
+        ("vectors.norm(dim=-1, keepdim=True)", "vectors.norm(p=1, dim=-1, keepdim=True)"),
+    ),
+    *mutants(
+        "evaluators/zero_shot.py", ("fb", "laplacian", "td-jepa"),
+        ("vectors.norm(dim=-1, keepdim=True)", "vectors.norm(dim=-1, keepdim=True).detach()"),
     ),
     *mutants(
         "evaluators/zero_shot.py", ("fb", "fb-onestep", "laplacian", "td-jepa"),
