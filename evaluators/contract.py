@@ -369,6 +369,10 @@ class ZeroShotContract(EvaluatorContract):
             agent.update(batch_for(agent, seed=step))
         return agent
 
+    def test_says_how_it_infers(self, name: str) -> None:
+        rule = getattr(plugins.load("evaluators", name), "rule", None)
+        assert isinstance(rule, str), "the class must say its rule, how z follows from labelled transitions, for records"
+
     def test_trains_without_rewards(self, name: str) -> None:
         agents = [make(name, (1, 2)) for _ in range(2)]
         batches = [batch_for(agent) for agent in agents]
