@@ -49,6 +49,7 @@ SWITCHES: list[tuple[str, dict[str, Any]]] = [
     ("iql", {"expectile": 0.9, "beta": 10.0, "largest_weight": 5.0}),
     ("rebrac", {"policy_delay": 1, "actor_penalty": 0.3, "critic_penalty": 0.2}),
     ("rebrac", {"hidden_layers": 2}),
+    ("fb", {"reduce": "mean"}),
     ("fb", {"shared_embeddings": False, "ortho": 0.3, "z_mix": 0.8}),
     ("fb-onestep", {"maximise": "min", "squash": True, "temperature": 2.0, "ortho": 1.0}),
     ("hilp", {"q_loss": True, "expectile": 0.9, "random_goals": 0.7, "feature_rate": 2.0}),

@@ -91,14 +91,15 @@ def back(m: Member, s: Tensor) -> Tensor:
 def fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
     """Σ_k ½ off[(M_k - γ min M̄)²] - diag M_k + λ (off[(B Bᵀ)²] - 2 diag B Bᵀ), M_k = F_k(s, z, a) B(s')ᵀ.
 
-    The actor ascends min_k F_kᵀ z.
+    The actor ascends min_k F_kᵀ z. With the mean instead, both times it is the mean.
     """
     z = tasks(m, back(m, b.s), v)
     with torch.no_grad():
         a_next = draw(m, b.s_next, z, v)
         slow = norm(trunk_mlp(m.target_backward_map, b.s_next))
         one, two = (ahead(weights, b.s_next, z, a_next) @ slow.T for weights in m.target_forward_map)
-        target = torch.where(m.branch(one < two, "the first slow measure is smaller"), one, two)
+        least = torch.where(m.branch(one < two, "the first slow measure is smaller"), one, two)
+        target = least if v.reduce == "min" else (one + two) / 2
     embedded = back(m, b.s_next)
     measures = [ahead(weights, b.s, z, b.a) @ embedded.T for weights in m.forward_map]
     fb_loss = sum((0.5 * off((one - v.discount * target) ** 2) - on(one) for one in measures), torch.zeros(()))
@@ -107,7 +108,7 @@ def fb(m: Member, b: Transitions, v: Any, n: int) -> Metrics:
 
     action = draw(m, b.s, z, v)
     one, two = ((ahead(weights, b.s, z, action) * z).sum(-1) for weights in m.forward_map)
-    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two)
+    q = torch.where(m.branch(one < two, "the first value is smaller"), one, two) if v.reduce == "min" else (one + two) / 2
     m.adam["actor"].minimise(-q.mean())
     follow(m.target_forward_map, m.forward_map, v.target_tau)
     follow([m.target_backward_map], [m.backward_map], v.target_tau)
@@ -283,7 +284,7 @@ MAPS = {"maps": ("forward_map", "backward_map"), "actor": ("actor",)}
 
 ZERO_SHOT = {
     "fb": Oracle(
-        fb, act_of_nothing, COMMON | NOISE | {"ortho": 1.0}, MAPS, SEEN,
+        fb, act_of_nothing, COMMON | NOISE | {"ortho": 1.0, "reduce": "min"}, MAPS, SEEN,
         lambda m, b, r, v: norm((r[:, None] * back(m, b.s_next)).mean(0)),
     ),
     "fb-onestep": Oracle(
