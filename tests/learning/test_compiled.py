@@ -342,6 +342,24 @@ def test_recording_takes_back_what_it_did() -> None:
     assert torch.equal(learner.log_multiplier, before["log_multiplier"])
 
 
+def test_the_hyperbolic_tangent_is_as_exact_as_its_type() -> None:
+    x = torch.cat([torch.linspace(-12.0, 12.0, 200_001), torch.logspace(-30, 2, 10_001), -torch.logspace(-30, 2, 10_001)])
+    exact = torch.tanh(x.double())
+    assert ((compiled._tanh(x).double() - exact) / exact).nan_to_num().abs().max() < 3e-7
+    special = torch.tensor([0.0, torch.inf, -torch.inf, torch.nan, 1e-45, 3e38])
+    torch.testing.assert_close(compiled._tanh(special), torch.tanh(special), rtol=0.0, atol=0.0, equal_nan=True)
+    assert torch.equal(compiled._tanh(x.double()), exact)
+
+
+@pytest.mark.parametrize("outputs", [1, 3])
+@pytest.mark.parametrize("scale", [{}, {"alpha": -2.0}, {"beta": 0.5, "alpha": 3.0}], ids=str)
+def test_products_are_taken_apart_into_the_same_numbers(outputs: int, scale: dict[str, float]) -> None:
+    g = torch.Generator().manual_seed(0)
+    left, right, bias = (torch.randn(shape, generator=g).double() for shape in ((2, 5, 7), (2, 7, outputs), (2, 1, outputs)))
+    torch.testing.assert_close(compiled._product(left, right), torch.bmm(left, right))
+    torch.testing.assert_close(compiled._layer(bias, left, right, **scale), torch.baddbmm(bias, left, right, **scale))
+
+
 def test_other_optimisers_are_refused_with_what_to_take() -> None:
     from torch._subclasses.fake_tensor import FakeTensorMode
 
