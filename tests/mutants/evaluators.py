@@ -608,7 +608,6 @@ MUTANTS: list[Mutant] = [
         "evaluators/fb_onestep.py", ("fb-onestep",),
         ("torch.cat([batch.next_observation, batch.next_action], -1)", "torch.cat([batch.next_observation, batch.action], -1)"),
         ("normalised(back.detach())", "back.detach()"),
-        ("with frozen(self.forward_map):", "with torch.enable_grad():"),
         ("both.mean(1) if config.maximise", "both.amin(1) if config.maximise", "both.sum(1) if config.maximise"),
         ("values.detach().abs().mean(1)\n", "values.abs().mean(1)\n", "values.detach().mean(1).abs()\n", "values.detach().abs().mean()\n"),
         (
@@ -632,6 +631,12 @@ MUTANTS: list[Mutant] = [
             "soft_update(self.backward_map, self.target_backward_map, config.target_tau)",
             "soft_update(self.backward_map, self.target_backward_map, 1.02 * config.target_tau)",
         ),
+    ),
+    survivor(
+        "evaluators/fb_onestep.py", ("fb-onestep",),
+        "with frozen(self.forward_map):",
+        "with torch.enable_grad():",
+        "the maps' own step comes after, and clears their gradient first",
     ),
     *mutants(
         "evaluators/successor_features.py", SUCCESSORS,
