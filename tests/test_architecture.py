@@ -290,5 +290,5 @@ def test_the_list_of_slow_tests_is_read_from_what_pytest_prints_and_names_tests_
     for test in slow_tests():
         path, *_, name = test.split("::")
         # Those of the batteries stand in the battery.
-        battery = ROOT / path.removeprefix("tests/").replace("test_contract", "contract")
+        battery = ROOT / path.removeprefix("tests/").replace("zero_shot/", "").replace("test_contract", "contract")
         assert any(f"def {name}(" in one.read_text() for one in (ROOT / path, battery) if one.exists()), test

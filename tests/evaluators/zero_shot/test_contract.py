@@ -9,7 +9,7 @@ from cudc_bench.evaluators.zero_shot import normalised
 
 from ..helpers import ZERO_SHOT
 
-LOOP = ["fb"]
+LOOP = ["fb", "hilp"]
 COSTLY = {
     "test_the_loop_evaluates_at_zero_at_every_interval_and_at_the_end": LOOP,
     "test_a_run_is_repeated_exactly": LOOP,
