@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from cudc_bench.artefacts.records import LABELS
 from cudc_bench.cli import completion
 from cudc_bench.cli.options import RewardOption
 
@@ -66,7 +65,7 @@ def ask(
     goal: Annotated[
         str | None, typer.Option("--goal", help="A state to reach instead: a file *.npy of one, or EPISODE:STEP of the dataset.")
     ] = None,
-    labels: Annotated[int, typer.Option("--labels", help="Transitions whose rewards it is told.")] = LABELS,
+    labels: Annotated[int | None, typer.Option("--labels", help="Transitions whose rewards it is told, 10000 by default.")] = None,
     labels_from: Annotated[
         str | None,
         typer.Option("--labels-from", help="Draw these from another dataset than the one trained on.", autocompletion=completion.datasets),
@@ -81,14 +80,22 @@ def ask(
 
     gl, os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL"), "disabled"
 
+    from cudc_bench.artefacts.records import LABELS, read_record
     from cudc_bench.execution.progress import echo
 
     from .asking import ask_policy
 
-    asked = ask_policy(policy, reward, task=task, goal=goal, labels=labels, labels_from=labels_from, episodes=episodes, output=output)
+    asked = ask_policy(
+        policy,
+        reward,
+        task=task,
+        goal=goal,
+        labels=LABELS if labels is None else labels,
+        labels_from=labels_from,
+        episodes=episodes,
+        output=output,
+    )
     print(asked.record)
-    from cudc_bench.artefacts.records import read_record
-
     function = read_record(asked.record).dataset.reward
     labelled = "minus the distance from the goal, summed" if goal else f"{asked.rewarded:.1%} of the labels have a reward"
     echo(

@@ -141,6 +141,8 @@ def evaluate(
             replace(run, questions=tuple(Question(task, count, own, source) for task in asked[run.dataset] for count in budgets))
             for run in _runs(shared, manifests, sizes, again, results)
         ]
+    places = {id(plan): place for place, plan in enumerate(plans)}
+    runs.sort(key=lambda run: places[id(run.plan)])
     groups, stack = stackable(runs), partial(Stack, execution)
     left = _left(groups, stack, overwrite)
     work = Work.plan(execution, "evaluate", groups, left, stack, partial(_beside, execution, chosen.threads))
