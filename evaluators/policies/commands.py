@@ -86,6 +86,9 @@ def ask(
     from .asking import ask_policy
 
     asked = ask_policy(
+        policy, reward, task=task, goal=goal, labels=LABELS if labels is None else labels, labels_from=labels_from, episodes=episodes,
+        output=output,
+    )  # fmt: skip
         policy,
         reward,
         task=task,
