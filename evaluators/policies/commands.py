@@ -89,15 +89,6 @@ def ask(
         policy, reward, task=task, goal=goal, labels=LABELS if labels is None else labels, labels_from=labels_from, episodes=episodes,
         output=output,
     )  # fmt: skip
-        policy,
-        reward,
-        task=task,
-        goal=goal,
-        labels=LABELS if labels is None else labels,
-        labels_from=labels_from,
-        episodes=episodes,
-        output=output,
-    )
     print(asked.record)
     function = read_record(asked.record).dataset.reward
     labelled = "minus the distance from the goal, summed" if goal else f"{asked.rewarded:.1%} of the labels have a reward"

@@ -70,8 +70,8 @@ def test_records_are_those_of_trainings_that_were_alone(smoke, alone, tmp_path):
 def test_one_that_breaks_down_takes_no_other_with_it(smoke, alone, tmp_path, monkeypatch, capfd):
     real = api.load_members
 
-    def loading(ids, *arguments):
-        data = real(ids, *arguments)
+    def loading(ids, *arguments, **options):
+        data = real(ids, *arguments, **options)
         data.rewards[["/walk/" in one for one in ids]] = torch.nan
         return data
 
