@@ -265,7 +265,8 @@ def zero_shot_caption(records: Iterable[Record]) -> str:
     told = sorted({one.zero_shot.labels for one in records if one.zero_shot is not None})
     if not told:
         return ""
-    return f" Trained without rewards, once for all tasks of a dataset, and told of each by the rewards of {told[0]:,} of its transitions."
+    how = f"told of each by the rewards of {told[0]:,} transitions, or of all where there are fewer"
+    return f" Trained without rewards, once for all tasks of a dataset, and {how}."
 
 
 def tasks_of(domain: str) -> tuple[str, ...]:
