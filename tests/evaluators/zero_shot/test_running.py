@@ -355,14 +355,15 @@ def test_a_record_that_is_handed_in_must_be_what_its_learner_makes(tmp_path, mon
             cudc_bench.submit([place], by="bob", output="ours")
 
 
-def test_records_of_one_training_are_made_again_by_one(base, tmp_path):
+def test_records_of_one_training_are_made_again_by_one(base):
     cudc_bench.collect("random", profile="smoke")
-    paths = cudc_bench.evaluate("fb", "walker", ["walk", "run"], ["random"], profile="smoke", labels=[30, 10_000])
-    results = cudc_bench.rerun(paths[1:], collect=True)
+    with briefly():
+        paths = cudc_bench.evaluate("fb", "walker", ["walk", "run"], ["random"], profile="smoke", labels=[30, 10_000])
+        results = cudc_bench.rerun(paths[1:])
     assert [one.differences for one in results] == [(), (), ()]
 
 
-@pytest.mark.parametrize("algo", ZERO_SHOT)
+@pytest.mark.parametrize("algo", ["fb", "hilp"])
 def test_trainings_side_by_side_answer_as_they_do_alone(base, algo, monkeypatch):
     cudc_bench.collect("random", profile="smoke", dataset_id="walker/other-v0")
     monkeypatch.setattr(execution, "run_jobs", lambda *given, **options: run_jobs(*given, **options | {"workers": 1}))
