@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import re
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import RewardFunction, exists, read_manifest
-from cudc_bench.artefacts.provenance import command_line, versions
+from cudc_bench.artefacts.provenance import command_line, commit, machine, versions
 from cudc_bench.artefacts.records import LABELS, Evaluation, LabelSource, Record, ZeroShot, read_record, record_path, write_record
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.envs import Domain, check_domain, check_tasks, make_simulators
@@ -125,7 +126,10 @@ def ask_policy(
     returns, interview = answer
     told = interview.told()
     rewards = interview.labelled(question).reward
-    norm, rewarded = float(told.norms), float((rewards != 0).double().mean())
+    norm, rule = float(told.norms), agent.rule
+    # A goal is the one state with a reward, beside those that were drawn.
+    rewarded = float((rewards != 0).double().mean()) if goal is None else 1 / (rewards.numel() + 1)
+    rule += "" if goal is None else ", with a reward at the goal alone"
     if norm == 0.0:
         warn(f"none of the {rewards.numel():,} labels has a reward, so that this policy pursues nothing")
     seconds = round(time.monotonic() - start, 1)
@@ -135,16 +139,18 @@ def ask_policy(
     options |= {} if labels == LABELS else {"--labels": str(labels)}
     options |= {} if labels_from is None else {"--labels-from": labels_from}
     evaluation = Evaluation(step=record.final.step, returns=returns)
+    head, dirty = commit()
     shared = record.zero_shot
     assert shared is not None
     found = record.model_copy(
         update={
             "dataset": record.dataset.model_copy(update={"task": question.task, "reward": question.reward}),
             "milestones": [record.final.step], "curve": [evaluation], "final": evaluation, "late": [], "metrics": [], "seconds": seconds,
-            "versions": versions(), "command": command_line(f"ask {place}", options, {}), "submission": None,
+            "versions": versions(), "commit": head, "dirty": dirty, "machine": machine("cpu", 1), "submission": None,
+            "command": command_line(f"ask {shlex.quote(str(place))}", options, {}),
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "zero_shot": ZeroShot(
-                labels=labels, drawn=rewards.numel(), source=question.source, rule=agent.rule, norm=norm, rewarded=rewarded,
+                labels=labels, drawn=rewards.numel(), source=question.source, rule=rule, norm=norm, rewarded=rewarded,
                 training=shared.training, records=1, training_seconds=shared.training_seconds,
             ),
         }
@@ -152,7 +158,6 @@ def ask_policy(
     path = record_path(
         folder, found.labelled_id, found.algorithm, found.dataset.seed, found.profile, found.dataset.used, found.seed, labels
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_policy(agent.policy_for(told.z[:, 0]), 0, path)
     write_record(path, found)
     return Asked(path, tuple(returns), norm, rewarded, seconds)
@@ -166,7 +171,8 @@ def _record_of(path: Path) -> Path:
         return path
     # Its records are those of the tasks: beside the folder of its dataset, in one for each task.
     stem = path.name.removesuffix(LEARNER)
-    beside = sorted(path.parent.parent.glob(f"*/{path.parent.name}/{stem}.json"))
+    names = (stem, stem.replace("-seed", "-labels*-seed", 1))
+    beside = [one for name in names for one in sorted(path.parent.parent.glob(f"*/{path.parent.name}/{name}.json"))]
     if not beside:
         raise UsageError(f"there is no record of the learner {path}; name one of those that cudc-bench evaluate printed.")
     return beside[0]
@@ -238,7 +244,6 @@ def write_goal(observation: Float32, folder: Path) -> str:
     """Write the reward function of a goal into a folder, where Python finds it from now on, and return its reference."""
     name = f"goal_{hashlib.sha256(observation.tobytes()).hexdigest()[:8]}"
     text = _GOAL.format(name=name, numbers=", ".join(repr(float(one)) for one in observation))
-    folder.mkdir(parents=True, exist_ok=True)
     try:
         write_atomically(folder / f"{name}.py", text.encode())
     except OSError as error:

@@ -239,8 +239,9 @@ def test_a_task_that_is_asked_for_later_is_answered_as_it_was_at_once(base):
     with briefly():
         by_file = cudc_bench.ask_policy(learner_path(path, record), task="run", episodes=2, output="by-file")
         of_few = cudc_bench.ask_policy(few, task="run", episodes=2, output="of-few")
-    assert by_file.returns == of_few.returns
-    assert by_file.norm == of_few.norm == asked.norm
+        by_fews_file = cudc_bench.ask_policy(learner_path(few, read_record(few)), task="run", episodes=2, output="by-fews-file")
+    assert by_file.returns == of_few.returns == by_fews_file.returns
+    assert by_file.norm == of_few.norm == by_fews_file.norm == asked.norm
 
 
 def test_a_user_asks_and_sees_the_video(base, cli, monkeypatch):
@@ -283,6 +284,9 @@ def test_a_goal_is_a_state_to_come_near(base, algo):
     assert by_step.returns == by_file.returns == by_array.returns
     found = read_record(by_step.record)
     name = found.dataset.task
+    assert found.zero_shot.rule.endswith("with a reward at the goal alone")
+    assert found.zero_shot.rewarded == by_step.rewarded == 1 / (found.zero_shot.drawn + 1)
+    assert (found.machine["device"], found.machine["threads"]) == ("cpu", 1)
     assert found.dataset.reward.reference == f"{name}:{name}"
     assert Path(f"asked/{name}.py").is_file()
     agent = load_learner(path, record)
