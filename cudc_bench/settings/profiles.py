@@ -40,7 +40,9 @@ class Profile:
 
 PAPER_STEPS = 1_000_000  # environment steps of a dataset
 _SMALL = {"width": 128, "batch_size": 128, "learning_rate": 1e-3}
-_EMBEDDING = {"feature_width": 64, "state_dim": 64}  # of evaluators that embed states
+# Of evaluators that embed states. The second moments of 128 embeddings say too little in the 50 dimensions of the papers, whose
+# minibatches have 1,024: learners without rewards stay at the floor (docs/how-to/zero-shot.md has the figures).
+_EMBEDDING = {"feature_width": 64, "state_dim": 64, "z_dim": 16}
 
 
 def schedules(config: type, profile: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,6 +97,7 @@ PROFILES: dict[str, Profile] = {
             evaluate={
                 "gradient_steps": 40, "evaluate_every": 20, "evaluation_episodes": 1, "final_episodes": 2,
                 "milestones": (20, 40), "width": 16, "batch_size": 32, "learning_rate": 1e-3, "feature_width": 8, "state_dim": 8,
+                "z_dim": 8,
             },
             threads=1,
         ),
