@@ -34,6 +34,7 @@ __all__ = [
     "Verification",
     "ask_policy",
     "collect",
+    "compare_datasets",
     "coverage",
     "draw_diagnostics",
     "evaluate",
@@ -57,7 +58,8 @@ __all__ = [
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "ask_policy", "load_policy",
-    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "run_suite", "rerun",
+    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets",
+    "run_suite", "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

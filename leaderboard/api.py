@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cudc_bench.artefacts.references import read_references
-from cudc_bench.errors import UsageError
+from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_folder, check_path
 
 from .datasets.diagnostics import DiagnosticsReport, compare_stored
+from .datasets.pair import Pair, compare_pair
 from .datasets.quality import QualityReport, measure_stored
 from .intake.load import Loaded, kept_from_collector, load_records
 from .intake.select import only
 from .output.files import write_files
+from .output.film import write_film
 from .output.report import Report, make_report, quality_files
+from .show import csv, markdown
 from .show.figures.diagnostics import diagnostic_files
+from .show.figures.pair import pair_files
 
-__all__ = ["Report", "draw_diagnostics", "make_leaderboard", "measure_quality"]
+__all__ = ["Report", "compare_datasets", "draw_diagnostics", "make_leaderboard", "measure_quality"]
+
+_LONGEST = 60  # seconds of a scene
 
 
 def make_leaderboard(
@@ -123,6 +129,58 @@ def measure_quality(
     tables, remarks = measure_stored(dataset_ids, domain, methods)
     files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
     return QualityReport(tables, remarks, files)
+
+
+@dataclass(frozen=True)
+class PairReport:
+    """What :func:`compare_datasets` found.
+
+    Attributes:
+        pair: the numbers.
+        remarks: what could not be made, and why.
+        files: what was written; empty without an output folder.
+    """
+
+    pair: Pair
+    remarks: list[str]
+    files: list[Path]
+
+
+def compare_datasets(
+    first: str, second: str, output: str | Path | None = "report", quantities: Sequence[str] | None = None, seconds: float = 4.0
+) -> PairReport:
+    """Put two datasets of a domain side by side: their states over two quantities, rewards, spectra of actions, and a film of both.
+
+    ``<output>/<both ids>.pair/`` gets ``quality.md`` and ``quality.csv`` as ``stats`` writes them, ``map``, ``density`` and ``spectra`` as
+    ``.svg`` and ``.pdf``, and ``film.mp4`` (a GIF where there is no ffmpeg): the first, the middle and the last episode of each, the first
+    dataset on the left. Where nothing can draw, a remark says so.
+
+    Args:
+        first, second: ids of two datasets that hold physics states.
+        output: the folder to write to; None writes nothing.
+        quantities: two of the domain's, for the map; the first two unless given.
+        seconds: of each of the film's three scenes; 0 makes none.
+
+    Raises:
+        UsageError: as :func:`~.datasets.pair.compare_pair`, the seconds are no number of at least 0, or the output cannot be a folder.
+        RunError: a dataset is damaged, or a file could not be written.
+    """
+    if not 0 <= seconds <= _LONGEST:
+        raise UsageError(f"--seconds takes 0 to {_LONGEST}, not {seconds:g}.")
+    folder = None if output is None else check_folder(output, "output")
+    pair = compare_pair(first, second, quantities)
+    if folder is None:
+        return PairReport(pair, [], [])
+    place = folder / pair.slug
+    table = pair.table
+    files = write_files(place, {"quality.md": markdown.of_quality(table), "quality.csv": csv.of_quality(table), **pair_files(pair)})
+    remarks = []
+    if seconds:
+        try:
+            files.append(write_film(place, pair, seconds))
+        except RunError as error:
+            remarks.append(f"there is no film: {error}")
+    return PairReport(pair, remarks, files)
 
 
 def _load(paths: Sequence[Path]) -> Loaded:

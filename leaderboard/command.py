@@ -1,4 +1,4 @@
-"""``cudc-bench leaderboard``, ``cudc-bench submit``, ``cudc-bench diagnostics`` and ``cudc-bench stats``."""
+"""``cudc-bench leaderboard``, ``submit``, ``diagnostics``, ``stats`` and ``compare``."""
 
 from __future__ import annotations
 
@@ -137,6 +137,21 @@ def stats(
     if as_json:
         print_json(of_stats(report))
     _show(() if as_json else map(of_quality, report.tables), report.remarks, () if as_json else report.files)
+
+
+def compare(
+    first: Annotated[str, typer.Argument(help="A dataset with physics states.", autocompletion=completion.datasets)],
+    second: Annotated[str, typer.Argument(help="Another of the same domain.", autocompletion=completion.datasets)],
+    output: Annotated[str, typer.Option("--output", help="Folder for tables, figures and the film.")] = "report",
+    quantities: Annotated[str | None, typer.Option("--quantities", help="Two of the domain's, for the map, by a comma.")] = None,
+    seconds: Annotated[float, typer.Option("--seconds", help="Of each scene of the film; 0 for none.")] = 4.0,
+) -> None:
+    """Put two datasets side by side: states, rewards, actions, and a film of both."""
+    from .api import compare_datasets
+    from .show.terminal import of_pair
+
+    report = compare_datasets(first, second, output, None if quantities is None else parse_names(quantities), seconds)
+    _show([of_pair(report.pair)], report.remarks, report.files)
 
 
 def _methods(text: str | None) -> tuple[str, ...] | None:

@@ -26,7 +26,7 @@ from cudc_bench.text import shortened, visible
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 _ORDER = (
     "run", "collect", "pilot", "import-exorl", "import-minari", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
-    "submit", "diagnostics", "stats", "verify", "list", "show", "delete", "doctor",
+    "submit", "diagnostics", "stats", "compare", "verify", "list", "show", "delete", "doctor",
 )  # fmt: skip
 _COMPLETION = "_CUDC_BENCH_COMPLETE"  # the environment variable by which a shell asks what could come next
 

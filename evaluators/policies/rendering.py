@@ -13,6 +13,7 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.envs import check_domain, make_simulators
 from cudc_bench.envs.drawing import LARGEST, SMALLEST, Drawer, check_camera
 from cudc_bench.envs.rewards import CustomReward, load_reward
+from cudc_bench.envs.video import Frame, check_length, check_video, find_ffmpeg, frame_times, write_video
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.parallel import Job, cores, run_jobs
 from cudc_bench.execution.progress import Advance, bars, echo
@@ -20,7 +21,6 @@ from cudc_bench.files import check_file, check_path
 
 from .rollout import Played, play, recorded_seeds
 from .stored import check_record, load_policy
-from .video import Frame, check_length, check_video, find_ffmpeg, write_video
 
 _SIZES = {".mp4": (640, 480), ".gif": (320, 240)}
 _MOST_EPISODES = 100
@@ -125,19 +125,6 @@ def _size(path: Path, width: int | None, height: int | None) -> tuple[int, int]:
         if not SMALLEST <= value <= LARGEST:
             raise UsageError(f"{option} takes {SMALLEST} to {LARGEST}, not {value}.")
     return size
-
-
-def frame_times(steps: int, timestep: float, fps: float) -> np.ndarray:
-    """The states (row 0 is the reset's) that frames at times 0, 1/fps, … show, so that an episode plays in real time.
-
-    Args:
-        steps: T, of the episode.
-        timestep: of one of them, s.
-        fps: frames a second.
-    """
-    # A whole number of frames may come out a rounding short.
-    count = int(steps * timestep * fps + 1e-6) + 1
-    return np.minimum(np.round(np.arange(count) / fps / timestep).astype(int), steps)
 
 
 def _play(description: str, steps: int, threads: int, **arguments: object) -> list[Played]:

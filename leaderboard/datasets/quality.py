@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from cudc_bench.errors import UsageError
 from cudc_bench.execution.progress import Advance, bars
 from cudc_bench.text import plain
 
-from ..intake.select import select
+from ..intake.select import Chosen, select
 from ..methods import METHOD_ORDER
 from ..numbers.words import ordered, slug
 from .diagnostics import group_of
@@ -139,11 +139,18 @@ def measure_stored(
         UsageError: there is no such dataset, or one that was named is labelled or holds no physics states.
         RunError: a dataset is damaged.
     """
-    found, remarks = select(
+    found, remarks = measurable(dataset_ids, domain, methods)
+    return _compare(found), remarks
+
+
+def measurable(
+    dataset_ids: str | Sequence[str] | None, domain: str | None = None, methods: Sequence[str] | None = None
+) -> tuple[Chosen, list[str]]:
+    """The datasets that :func:`measure_stored` measures, and a line for each that was left out; the arguments and errors are its own."""
+    return select(
         dataset_ids, domain, methods, others=lambda manifest: manifest.base is not None, refuse=_refuse, lacks=_lacks,
         verb="can be measured",
     )  # fmt: skip
-    return _compare(found), remarks
 
 
 def _refuse(one: str, manifest: Manifest) -> None:
@@ -174,8 +181,16 @@ def _compare(found: Iterable[tuple[str, Manifest]]) -> list[QualityTable]:
     return tables
 
 
-def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advance) -> tuple[Quality, Float32]:
-    """One dataset's quality but for the particle entropy, and observations (n, S) for that."""
+def measure(
+    dataset_id: str, manifest: Manifest, domain: Domain, advance: Advance, look: Callable[[Float64, Float32], None] | None = None
+) -> tuple[Quality, Float32]:
+    """One dataset's quality but for the particle entropy, and observations (n, S) for that.
+
+    Args:
+        dataset_id, manifest, domain: which.
+        advance: told of the states that have been read.
+        look: takes each episode's quantities (T, Q), without the reset's, and actions (T, A), to see more in them.
+    """
     relabeler, function = plugins.load("relabelers", domain.relabeler)(domain), reward_function(domain.name)
     visits = Visits(domain) if domain.descriptors else None
     points = EvenlySpaced(manifest, STATS.points)
@@ -186,6 +201,8 @@ def measure(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advanc
         if visits is not None:
             visits.add(quantities)
         rewards.append(function(quantities))
+        if look is not None:
+            look(quantities, episode["actions"])
         actions.append(episode["actions"])
         points.add(episode["observations"])
         advance(len(episode["actions"]))

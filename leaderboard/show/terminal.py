@@ -10,6 +10,7 @@ from cudc_bench.cli import tables
 from cudc_bench.cli.tables import Cell, Row, row
 
 from ..datasets.diagnostics import Comparison
+from ..datasets.pair import Pair
 from ..datasets.quality import Quality, QualityTable
 from ..numbers.grid import Column, Entry, number
 from ..numbers.overall import LEAD, PRELIMINARY, Overall
@@ -153,6 +154,15 @@ def of_quality(table: QualityTable) -> Group:
     rows = tuple(row(one.manifest.label, str(one.manifest.seed), *_rewards(one), *_spread(one)) for one in table.datasets)
     title = Text(f"{table.domain}, profile {table.group}: mean reward per step of each task, and how far the data spread", style="bold")
     return Group(title, tables.Table(columns, rows, keys=2))
+
+
+def of_pair(pair: Pair) -> Group:
+    """A line for each of both, and how much of their states lies in the same places."""
+    from rich.console import Group
+    from rich.text import Text
+
+    shared = f"{pair.shared:.0%} of the states are in the same cells of {pair.x.name} and {pair.y.name}."
+    return Group(of_quality(pair.table), Text(shared, style="dim"))
 
 
 def _columns(*names: str, first: bool = True) -> tuple[tables.Column, ...]:

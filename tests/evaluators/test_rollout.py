@@ -8,7 +8,6 @@ import cudc_bench
 from cudc_bench.envs import DOMAINS
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import UsageError
-from cudc_bench.evaluators.policies.rendering import frame_times
 from cudc_bench.evaluators.policies.rollout import play, recorded_seeds
 from cudc_bench.evaluators.policies.stored import load_policy
 
@@ -73,14 +72,3 @@ def test_a_task_that_the_domain_has_not_is_refused(tmp_path):
     change(path, dataset=policy.record.dataset.model_dump() | {"task": "fly"})
     with pytest.raises(UsageError, match="unknown walker task 'fly'"):
         play(nothing, policy=load_policy(path), seeds=[1])
-
-
-@pytest.mark.parametrize(("steps", "timestep", "length"), [(1000, 0.025, 25.0), (1000, 0.02, 20.0), (250, 0.04, 10.0), (1000, 0.01, 10.0)])
-@pytest.mark.parametrize("fps", [1, 25, 30, 29.97, 60, 500])
-def test_frames_show_an_episode_in_real_time(steps, timestep, length, fps):
-    times = frame_times(steps, timestep, fps)
-    assert times[0] == 0
-    assert abs(len(times) / fps - length) <= 1 / fps + 1e-9
-    assert times.max() <= steps
-    for frame, state in enumerate(times):
-        assert abs(frame / fps - state * timestep) <= timestep / 2 + 1e-9

@@ -189,6 +189,13 @@ def steps_axis(panel: Axes, what: str, steps: Iterable[int]) -> None:
     panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
 
 
+def plain_numbers() -> Any:
+    """A formatter of a logarithmic axis' ticks; its own writes powers as formulas, which nothing here typesets."""
+    from matplotlib.ticker import FuncFormatter
+
+    return FuncFormatter(lambda value, _: f"{value:g}")
+
+
 def _handle(method: str, style: dict[str, Any]) -> Any:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

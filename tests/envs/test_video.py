@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from cudc_bench.envs import video
+from cudc_bench.envs.video import check_length, check_video, find_ffmpeg, frame_times, write_video
 from cudc_bench.errors import RunError, UsageError
-from cudc_bench.evaluators.policies import video
-from cudc_bench.evaluators.policies.video import check_length, check_video, find_ffmpeg, write_video
 
 # Writes what it is given: arguments to one file, frames to the one that it is asked for.
 FFMPEG = """#!{python}
@@ -150,3 +150,14 @@ def test_the_systems_ffmpeg_serves_without_the_extra(tmp_path, monkeypatch):
     place.write_text("#!/bin/sh\n")
     place.chmod(0o755)
     assert find_ffmpeg() == str(place)
+
+
+@pytest.mark.parametrize(("steps", "timestep", "length"), [(1000, 0.025, 25.0), (1000, 0.02, 20.0), (250, 0.04, 10.0), (1000, 0.01, 10.0)])
+@pytest.mark.parametrize("fps", [1, 25, 30, 29.97, 60, 500])
+def test_frames_show_an_episode_in_real_time(steps, timestep, length, fps):
+    times = frame_times(steps, timestep, fps)
+    assert times[0] == 0
+    assert abs(len(times) / fps - length) <= 1 / fps + 1e-9
+    assert times.max() <= steps
+    for frame, state in enumerate(times):
+        assert abs(frame / fps - state * timestep) <= timestep / 2 + 1e-9

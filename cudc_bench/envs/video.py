@@ -59,6 +59,19 @@ def find_ffmpeg() -> str | None:
         return shutil.which("ffmpeg")
 
 
+def frame_times(steps: int, timestep: float, fps: float) -> np.ndarray:
+    """The states (row 0 is the reset's) that frames at times 0, 1/fps, … show, so that an episode plays in real time.
+
+    Args:
+        steps: T, of the episode.
+        timestep: of one of them, s.
+        fps: frames a second.
+    """
+    # A whole number of frames may come out a rounding short.
+    count = int(steps * timestep * fps + 1e-6) + 1
+    return np.minimum(np.round(np.arange(count) / fps / timestep).astype(int), steps)
+
+
 def write_video(path: Path, frames: Iterable[Frame], count: int, fps: float) -> None:
     """Write a file, whole or not at all; one that is there is replaced.
 
