@@ -62,7 +62,7 @@ class APS(DDPG):
     def critic_outputs(self) -> int:
         return int(self.config.task_dim)
 
-    def sample_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom, t: int) -> Tensor:
         return F.normalize(random.normal(self.config.task_dim), dim=-1)
 
     def build(self, random: MemberRandom) -> list[Trainable]:

@@ -64,7 +64,7 @@ class CIC(DDPG):
     def skill_steps(self) -> int:
         return int(self.config.skill_every)
 
-    def sample_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom, t: int) -> Tensor:
         return random.uniform(self.config.skill_dim)
 
     def build(self, random: MemberRandom) -> list[Trainable]:
@@ -80,6 +80,8 @@ class CIC(DDPG):
     def auxiliary_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         size = batch.observation.shape[1]
         both = self.state_network(torch.cat([batch.observation, batch.next_observation], dim=1))
+        # For methods whose reward is that of this forward pass, before its step.
+        batch.cache["states"] = both.detach().split(size, dim=1)
         keys = F.normalize(self.pair_network(torch.cat(both.split(size, dim=1), dim=-1)), dim=-1)
         queries = F.normalize(self.skill_network(skill_of(batch)), dim=-1)
         similarity = queries @ keys.transpose(1, 2) / self.config.temperature
@@ -92,9 +94,13 @@ class CIC(DDPG):
         features: Tensor = self.state_network(observation)
         return features
 
+    @property
+    def scale(self) -> Tensor:
+        """What divides distances (E,)."""
+        return self.moments.variance if self.config.normalise_by == "variance" else self.moments.variance.sqrt()
+
     def reward(self, batch: Batch) -> Tensor:
         config = self.config
         distances = neighbour_distances(self.represent(batch.next_observation), config.neighbours, config.knn_exclude_self)
         self.moments.add(distances)
-        scale = self.moments.variance if config.normalise_by == "variance" else self.moments.variance.sqrt()
-        return normalised_entropy_reward(distances, scale, config.distance_floor)
+        return normalised_entropy_reward(distances, self.scale, config.distance_floor)

@@ -90,8 +90,10 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
         batch.nearer_observation = (observation + following) / 2
         batch.nearer_horizon = collector.min_horizon + torch.arange(size) % (collector.horizon[:, None] - collector.min_horizon + 1)
     if collector.skill_size:
-        rows = [[seed + 1000 * member + 100_000 * row for row in range(size)] for member in members]
-        batch.skill = torch.stack([collector.sample_skills(MemberRandom(seeds, "rows")) for seeds in rows])
+        # Of actions all along an episode.
+        times = [row * collector.sizes.episode_length // size for row in range(size)]
+        drawn = [MemberRandom([seed + 1000 * member + 100_000 * row for member in members], "rows") for row in range(size)]
+        batch.skill = torch.stack([collector.sample_skills(random, t) for random, t in zip(drawn, times, strict=True)], dim=1)
     return batch
 
 
@@ -139,7 +141,7 @@ def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
     if collector.min_horizon is not None:
         batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.min_horizon)
     if collector.skill_size:
-        batch.skill = collector.sample_skills(MemberRandom([seed * size + row for row in range(size)], "rows"))[None]
+        batch.skill = collector.sample_skills(MemberRandom([seed * size + row for row in range(size)], "rows"), 0)[None]
     return batch
 
 

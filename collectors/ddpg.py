@@ -116,8 +116,8 @@ class DDPG(Collector, Learner):
     def update_targets(self) -> None:
         """Move the method's own slow copies."""
 
-    def sample_skills(self, random: MemberRandom) -> Tensor:
-        """New skills (E, K)."""
+    def sample_skills(self, random: MemberRandom, t: int) -> Tensor:
+        """New skills (E, K), which actions follow from step t of an episode on."""
         raise NotImplementedError(f"{type(self).__name__} has skills but no sample_skills")
 
     def value(self, critic: SharedTrunkCritic, observation: Tensor, skill: Tensor | None, action: Tensor) -> Tensor:
@@ -159,7 +159,7 @@ class DDPG(Collector, Learner):
     def next_skill(self, t: int) -> Tensor:
         """New ones at the start of an episode and every ``skill_steps`` steps; with 0 they last for the whole episode."""
         if t == 0 or (self.skill_steps and t % self.skill_steps == 0):
-            self.skill.copy_(self.sample_skills(self.random["skill"]))
+            self.skill.copy_(self.sample_skills(self.random["skill"], t))
         return self.skill
 
     def _policy(self, observation: Tensor, skill: Tensor | None) -> Tensor:

@@ -41,7 +41,7 @@ class OneHotSkills(DDPG):
     def skill_steps(self) -> int:
         return int(self.config.skill_every)
 
-    def sample_skills(self, random: MemberRandom) -> Tensor:
+    def sample_skills(self, random: MemberRandom, t: int) -> Tensor:
         skills = self.config.skills
         return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
 

@@ -24,6 +24,8 @@ _LIGHT, _OWN, _DIM, _DARK, _RED = "#F4B183", COLOURS["cudc"], "#9A4400", "#4A1C0
 _STYLED: dict[str, tuple[str, Any]] = {
     name: (colour, dashes)
     for colour, names in (
+        # Later ones are solid, in the colour of a relative.
+        (_OTHER_COLOURS[1], ("moss",)),
         *((colour, ("", name)) for colour, name in zip(_OTHER_COLOURS, ("be", "cic", "diayn", "disagreement", "rnd", "smm"), strict=True)),
         (COLOURS["icm"], ("", "cudc-vary-icm")),
         (COLOURS["apt"], ("", "cudc-vary-apt", "apt-k6", "apt-ksched")),

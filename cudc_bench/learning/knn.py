@@ -16,7 +16,7 @@ def neighbour_distances(points: Tensor, neighbours: int, exclude_self: bool = Fa
     Args:
         points: (E, B, D).
         neighbours: how many, at most B.
-        exclude_self: leave out the point itself, which otherwise counts as the nearest, at distance 0.
+        exclude_self: leave out the point itself, which otherwise counts as the nearest, at distance 0; among others the one in its place.
         among: (E, M, D), to search there instead of in the minibatch; then no point is its own neighbour.
 
     Returns:
@@ -30,7 +30,7 @@ def neighbour_distances(points: Tensor, neighbours: int, exclude_self: bool = Fa
     others = centred if among is None else among - mean
     squared = torch.baddbmm(others.square().sum(-1)[:, None, :], centred, others.transpose(1, 2), alpha=-2.0)
     squared += centred.square().sum(-1)[:, :, None]
-    if among is None:
+    if exclude_self or among is None:
         squared.diagonal(dim1=1, dim2=2).fill_(torch.inf if exclude_self else 0.0)
     nearest = squared.topk(neighbours, dim=-1, largest=False, sorted=False).values
     return nearest.clamp_(min=0.0).sqrt_()

@@ -395,6 +395,15 @@ def cic(
     normalise_by: str = "variance",
     **sizes: int,
 ) -> Found:
+    loss = contrastive_step(m, b, temperature)
+    distances = nearest(mlp(m.state_network, b.s_next), neighbours, without_self=knn_exclude_self)
+    variance = running(m, distances).variance
+    reward = particle_entropy(distances, variance if normalise_by == "variance" else variance.sqrt(), distance_floor)
+    return Found(reward, {"loss_contrastive": loss})
+
+
+def contrastive_step(m: Explorer, b: Sample, temperature: float) -> Tensor:
+    """Pulls a skill's embedding and that of its own state change together; the loss."""
     pair = beside(mlp(m.state_network, b.s), mlp(m.state_network, b.s_next))
     query, key = unit(mlp(m.skill_network, b.skill)), unit(mlp(m.pair_network, pair))
     losses = []
@@ -403,10 +412,37 @@ def cic(
         losses.append(-torch.log(similar[i] / (similar[:i].sum() + similar[i + 1 :].sum())))
     loss = torch.stack(losses).mean()
     m.minimise(loss, "state_network", "pair_network", "skill_network")
-    distances = nearest(mlp(m.state_network, b.s_next), neighbours, without_self=knn_exclude_self)
-    variance = running(m, distances).variance
-    reward = particle_entropy(distances, variance if normalise_by == "variance" else variance.sqrt(), distance_floor)
-    return Found(reward, {"loss_contrastive": loss})
+    return loss
+
+
+def moss(
+    m: Explorer,
+    b: Sample,
+    *,
+    temperature: float = 0.5,
+    neighbours: int = 16,
+    knn_exclude_self: bool = False,
+    distance_floor: float = 5e-4,
+    normalise_by: str = "variance",
+    skill_mode: str = "half",
+    **sizes: float,
+) -> Found:
+    """The entropy is that of the embedding before its step, of states among next states; control is its opposite."""
+    states, following = mlp(m.state_network, b.s).detach(), mlp(m.state_network, b.s_next).detach()
+    rows = []
+    for i, state in enumerate(states):
+        to = [length((other - state)[None]) for j, other in enumerate(following) if i != j or not knn_exclude_self]
+        rows.append(torch.cat(to).sort().values[:neighbours])
+    distances = torch.stack(rows)
+    moments = running(m, distances)
+    scale = moments.variance if normalise_by == "variance" else moments.variance.sqrt()
+    entropy = particle_entropy(distances - moments.mean, scale, distance_floor)
+    if skill_mode == "half":
+        explores = b.skill[:, -(b.skill.shape[1] // 2) :].abs().sum(1) == 0
+    else:
+        explores = b.skill.mean(1) > 0
+    assert 0 < explores.sum() < len(explores)
+    return Found(torch.where(explores, 1.0, -1.0) * entropy, {"loss_contrastive": contrastive_step(m, b, temperature)})
 
 
 # CUDC (spec 3) and its relatives (spec 4)
@@ -678,7 +714,7 @@ RELATIVES: dict[str, Parts] = {
 
 ORACLES: dict[str, Callable[..., Found]] = {
     "icm": icm, "apt": apt, "apt-k6": apt, "apt-ksched": apt_schedule, "be": be, "proto": proto, "aps": aps, "rnd": rnd,
-    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic,
+    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic, "moss": moss,
     **{name: partial(cudc, parts=parts) for name, parts in RELATIVES.items()},
     # ICM's and APT's own rewards, of the updated networks, and APT's own target, with its gradient.
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True, state_target="live"),

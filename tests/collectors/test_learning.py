@@ -107,7 +107,7 @@ def visited(name: str) -> int:
     return places.cells()
 
 
-@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "cudc"])
+@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "moss", "cudc"])
 def test_covers_more_of_a_square_than_random_actions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     simulators: Callable[[str, int], list[PointMass]] = lambda domain, count: [PointMass() for _ in range(count)]  # noqa: E731
     monkeypatch.setattr(interaction, "make_simulators", simulators)
@@ -134,7 +134,7 @@ def test_diayns_skills_become_distinguishable() -> None:
     assert np.mean(rewards[-20:]) > 0.8 * np.log(4)
 
 
-@pytest.mark.parametrize("name", ["aps", "cic"])
+@pytest.mark.parametrize("name", ["aps", "cic", "moss"])
 def test_continuous_skills_and_what_they_lead_to_find_each_other(name: str) -> None:
     collector = make(name)
     projection = torch.randn(collector.skill_size, 24, generator=torch.Generator().manual_seed(0))

@@ -10,6 +10,8 @@ from cudc_bench.learning.knn import neighbour_distances
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.running_mean_std import RunningMeanStd
 
+from cudc_bench.collectors.contract import SPACES
+
 from .helpers import batch_for, make
 
 
@@ -32,7 +34,7 @@ def test_behavioural_entropy_is_apt_at_alpha_one():
     assert issubclass(BE, type(apt))
 
 
-@pytest.mark.parametrize(("name", "settings"), [("apt", {}), ("aps", {}), ("cic", {}), ("be", {})])
+@pytest.mark.parametrize(("name", "settings"), [("apt", {}), ("aps", {}), ("cic", {}), ("moss", {}), ("be", {})])
 def test_more_neighbours_than_a_minibatch_has_are_refused(name, settings):
     with pytest.raises(ValueError, match="40 neighbours cannot be found in a batch_size of 32"):
         make(name, neighbours=40, **settings)
@@ -54,7 +56,7 @@ def test_neighbours_among_other_points():
 
 
 def test_skills_are_drawn_from_each_members_own_stream():
-    for name in ("diayn", "smm", "aps", "cic"):
+    for name in ("diayn", "smm", "aps", "cic", "moss"):
         pair, alone = make(name, (5, 6)), make(name, (6,))
         for t in range(0, 200, 50):
             assert torch.equal(pair.next_skill(t)[1:], alone.next_skill(t))
@@ -62,7 +64,7 @@ def test_skills_are_drawn_from_each_members_own_stream():
 
 def test_skills_are_one_hot_codes_points_of_a_sphere_or_of_a_cube():
     def draws(name):
-        return torch.cat([make(name).sample_skills(MemberRandom([seed], "x")) for seed in range(400)])
+        return torch.cat([make(name).sample_skills(MemberRandom([seed], "x"), 0) for seed in range(400)])
 
     for name, count in (("diayn", 16), ("smm", 4)):
         skills = draws(name)
@@ -74,3 +76,33 @@ def test_skills_are_one_hot_codes_points_of_a_sphere_or_of_a_cube():
     torch.testing.assert_close(task_vectors.norm(dim=1), torch.ones(400))
     assert task_vectors.mean(0).abs().max() < 4 / math.sqrt(400 * 10)  # four standard errors of a direction's mean
     assert 0 <= corners.min() < 0.01 < 0.99 < corners.max() < 1
+
+
+def episode_of_skills(collector, length):
+    return torch.stack([collector.next_skill(t)[0].clone() for t in range(length)])
+
+
+@pytest.mark.parametrize("mode", ["half", "sign"])
+@pytest.mark.parametrize(("domain", "length", "control"), [("walker", 1000, 500), ("jaco", 250, 200)])
+def test_mosss_skills_say_whether_they_explore(mode, domain, length, control):
+    """On Jaco the period of 166 steps ends within a skill, which lasts on."""
+    skills = episode_of_skills(make("moss", sizes=SPACES[domain], skill_mode=mode, skill_dim=5), length)
+    explores = skills[:, 0] > 0
+    assert explores.tolist() == [t < control for t in range(length)]
+    if mode == "sign":
+        assert (skills[explores] > 0).all()
+        assert (skills[~explores] < 0).all()
+        assert skills.abs().max() <= 1
+    else:
+        assert (skills[explores, :3] > 0).all()
+        assert not skills[explores, 3:].any()
+        assert (skills[~explores, 2:] > 0).all()
+        assert not skills[~explores, :2].any()
+    assert len(skills.unique(dim=0)) == length // 50
+
+
+def test_mosss_periods_fit_into_an_episode():
+    assert [make("moss", periods=4.0).controls_at(t) for t in (0, 249, 250, 499, 500, 750)] == [False, False, True, True, False, True]
+    assert not any(make("moss", periods=1.0).controls_at(t) for t in range(1000))
+    with pytest.raises(ValueError, match="1001 periods do not fit into an episode of 1000 steps"):
+        make("moss", periods=1001.0)

@@ -56,6 +56,10 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
     "cic": [
         {"normalise_by": "std", "neighbours": 5, "knn_exclude_self": True, "temperature": 1.3, "distance_floor": 0.5, "skill_dim": 7},
     ],
+    "moss": [
+        {"normalise_by": "std", "neighbours": 5, "knn_exclude_self": True, "temperature": 1.3, "distance_floor": 0.5, "skill_dim": 7},
+        {"skill_mode": "sign", "periods": 4.0},
+    ],
     "cudc": [
         {"state_target": "live", "knn_exclude_self": True, "neighbours": 5} | GROWING,
         {"state_target": "momentum", "momentum_tau": 0.3, "alpha": 2.0, "beta": 0.5, "loss_weights": (0.5, 2.0, 3.0, 0.1)},
@@ -93,6 +97,7 @@ SIZES_OF: dict[str, dict[str, Any]] = {
     "diayn": {"skills": 16, "skill_every": 50},
     "smm": {"vae_hidden": 150, "skills": 4, "skill_every": 0},
     "cic": {"skill_dim": 64, "skill_every": 50},
+    "moss": {"skill_dim": 32, "skill_every": 50, "periods": 2.0},
 }
 OF_CUDC = {"action_feature_dim": 64, "action_hidden": 64, "projection_hidden": 128, "projection_dim": 64, "w_init": "uniform"}
 SWITCHES = {
@@ -286,9 +291,12 @@ def layers(name: str) -> dict[str, tuple[int, ...]]:
             "disagreement": {"models": (s + a, w, s)},
             "diayn": {"discriminator": (s, w, w, 16)},
             "smm": {"encoder": (s + 4, 150, 150, 2 * 128), "decoder": (128, 150, 150, s + 4), "discriminator": (s, w, w, 4)},
-            "cic": {"state_network": (s, w, w, 64), "pair_network": (2 * 64, w, w, 64), "skill_network": (64, w, w, 64)},
+            **{
+                name: {"state_network": (s, w, w, d), "pair_network": (2 * d, w, w, d), "skill_network": (d, w, w, d)}
+                for name, d in (("cic", 64), ("moss", 32))
+            },
         }[name]
-        skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64}.get(name, 0), 10 if name == "aps" else 1
+        skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64, "moss": 32}.get(name, 0), 10 if name == "aps" else 1
     # Two heads side by side behind one trunk, the hidden layers of both together.
     critic = (s + skill + a, w, 2 * w, 2 * values)
     return found | {"actor": (s + skill, w, w, a), "critic": critic, "target_critic": critic}

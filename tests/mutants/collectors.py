@@ -51,7 +51,7 @@ NETWORKS = [
         ('"lr": rates[rate]}', '"lr": rates[max(rates)]}'),
     ),
     *mutants(
-        "cudc_bench/learning/knn.py", ("apt", "be", "aps", "cic", "cudc"),
+        "cudc_bench/learning/knn.py", ("apt", "be", "aps", "cic", "moss", "cudc"),
         ("alpha=-2.0)", "alpha=-2.04)"),
         ("torch.inf if exclude_self else 0.0", "0.0", "torch.inf"),
         ("squared.topk(neighbours,", "squared.topk(neighbours - 1,", "squared.topk(min(neighbours + 1, squared.shape[-1] - exclude_self),"),
@@ -70,7 +70,7 @@ NETWORKS = [
         "distances do not change by a shift",
     ),
     *mutants(
-        "cudc_bench/learning/knn.py", ("aps", "cic"),
+        "cudc_bench/learning/knn.py", ("aps", "cic", "moss"),
         (
             "(distances / scale[:, None, None] - floor)",
             "(distances / scale.mean() - floor)",
@@ -722,12 +722,13 @@ METHODS = [
             "F.normalize(self.represent(batch.next_observation), dim=-1), config",
         ),
         (
-            "        self.moments.add(distances)\n        scale = self.moments.variance if",
-            "        before = self.moments.variance.clone()\n        self.moments.add(distances)\n        scale = before if",
+            "        self.moments.add(distances)\n        return normalised_entropy_reward(distances, self.scale,",
+            "        before = self.scale.clone()\n"
+            "        self.moments.add(distances)\n        return normalised_entropy_reward(distances, before,",
         ),
         (
-            'scale = self.moments.variance if config.normalise_by == "variance"',
-            'scale = self.moments.mean if config.normalise_by == "variance"',
+            'return self.moments.variance if self.config.normalise_by == "variance"',
+            'return self.moments.mean if self.config.normalise_by == "variance"',
         ),
         ("else self.moments.variance.sqrt()", "else self.moments.variance"),
         ("return [self.state_network, self.pair_network, self.skill_network]", "return [self.state_network, self.pair_network]"),
@@ -735,6 +736,41 @@ METHODS = [
         ("neighbours: PositiveInt = 16", "neighbours: PositiveInt = 12"),
         ("distance_floor: NonNegativeFloat = 5e-4", "distance_floor: NonNegativeFloat = 1e-4"),
         ('normalise_by: Literal["variance", "std"] = "variance"', 'normalise_by: Literal["variance", "std"] = "std"'),
+    ),
+    # MOSS, and what CIC leaves to it
+    *mutants(
+        "collectors/moss.py", ("moss",),
+        (
+            'states, following = batch.cache["states"]',
+            'following, states = batch.cache["states"]',
+            "states, following = self.represent(batch.observation), self.represent(batch.next_observation)",
+            'states, following = (batch.cache["states"][1],) * 2',
+        ),
+        ("config.knn_exclude_self, among=following)", "config.knn_exclude_self)", "False, among=following)"),
+        ("self.moments.add(distances)", "self.moments.add(distances.mean(-1))"),
+        (
+            "distances - self.moments.mean[:, None, None], self.scale",
+            "distances, self.scale",
+            "distances - self.moments.mean.mean(), self.scale",
+            "distances - distances.mean((1, 2))[:, None, None], self.scale",
+            "distances - self.moments.mean[:, None, None], self.scale.sqrt()",
+        ),
+        (
+            "        self.moments.add(distances)\n        entropy = normalised_entropy_reward(distances - self.moments.mean[",
+            "        before = self.moments.mean.clone()\n"
+            "        self.moments.add(distances)\n        entropy = normalised_entropy_reward(distances - before[",
+        ),
+        (
+            "torch.where(skill_of(batch)[..., 0] > 0, entropy, -entropy)",
+            "torch.where(skill_of(batch)[..., 0] > 0, -entropy, entropy)",
+            "entropy",
+            "torch.where(skill_of(batch)[..., 0] > 0, entropy, 0.0)",
+            "torch.where(skill_of(batch)[..., 0] > 0.5, entropy, -entropy)",
+            "torch.where(skill_of(batch)[:, :1, 0] > 0, entropy, -entropy)",
+        ),
+        ("= 32", "= 64"),
+        ("= 2.0", "= 4.0"),
+        ('Literal["half", "sign"] = "half"', 'Literal["half", "sign"] = "sign"'),
     ),
 ]  # fmt: skip
 
