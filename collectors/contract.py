@@ -47,6 +47,7 @@ from .representation import effective_rank, spread
 from .running.dataset_sink import DatasetSink
 from .running.loop import run_collection
 
+_FUTURES = ("future_observation", "other_observation")
 SMALL = {"width": 16, "batch_size": 32, "feature_dim": 12, "learning_rate": 1e-3}
 SPACES = {
     name: Sizes(name, domain.observation_size, domain.action_size, domain.episode_length, seed_steps=4000, update_every=2)
@@ -81,14 +82,16 @@ def batch_for(collector: Any, size: int = 32, seed: int = 0, measure: bool = Fal
             (
                 torch.randn(size, collector.sizes.observation, generator=generator),
                 torch.rand(size, collector.sizes.action, generator=generator) * 2 - 1,
-                torch.randn(size, collector.sizes.observation, generator=generator),
+                *(torch.randn(size, collector.sizes.observation, generator=generator) for _ in range(3)),
             )
         )
-    observation, action, following = (torch.stack(values) for values in zip(*parts, strict=True))
+    observation, action, following, future, other = (torch.stack(values) for values in zip(*parts, strict=True))
     batch = Batch(observation, action, following, collector.horizon, measure=measure)
     if collector.min_horizon is not None:
         batch.nearer_observation = (observation + following) / 2
         batch.nearer_horizon = collector.min_horizon + torch.arange(size) % (collector.horizon[:, None] - collector.min_horizon + 1)
+    if collector.wants_future:
+        batch.future_observation, batch.other_observation = future, other
     if collector.skill_size:
         # Of actions all along an episode.
         times = [row * collector.sizes.episode_length // size for row in range(size)]
@@ -111,6 +114,9 @@ def low_variety(batch: Batch, scale: float, kinds: int = 6) -> Batch:
     few.skill = None if batch.skill is None else batch.skill[:, rows]
     if batch.nearer_observation is not None:
         few.nearer_observation = (few.observation + few.next_observation) / 2
+    for name in _FUTURES:
+        if (states := getattr(batch, name)) is not None:
+            setattr(few, name, states[:, rows] * factor)
     return few
 
 
@@ -121,6 +127,9 @@ def of_member(batch: Batch, member: int, horizon: Tensor) -> Batch:
     one = Batch(batch.observation[own], batch.action[own], batch.next_observation[own], horizon, skill=skill, measure=batch.measure)
     if batch.nearer_observation is not None and batch.nearer_horizon is not None:
         one.nearer_observation, one.nearer_horizon = batch.nearer_observation[own], batch.nearer_horizon[own]
+    for name in _FUTURES:
+        if (states := getattr(batch, name)) is not None:
+            setattr(one, name, states[own])
     return one
 
 
@@ -140,6 +149,8 @@ def lawful_batch(collector: Any, seed: int, size: int = 64) -> Batch:
     batch = Batch(seen(causes), action, seen(following), collector.horizon)
     if collector.min_horizon is not None:
         batch.nearer_observation, batch.nearer_horizon = seen((causes + following) / 2), torch.full((1, size), collector.min_horizon)
+    if collector.wants_future:
+        batch.future_observation, batch.other_observation = seen(0.95 * following @ turn), batch.observation.flip(1)
     if collector.skill_size:
         batch.skill = collector.sample_skills(MemberRandom([seed * size + row for row in range(size)], "rows"), 0)[None]
     return batch
@@ -422,7 +433,7 @@ class CollectorContract:
             replay = Episodes(2, 6, 6 * 40, 24, 6, random, skill=collector.skill_size)
 
             def draw(measure: bool) -> Batch:
-                return replay.sample(32, collector.horizon, measure, collector.min_horizon)
+                return replay.sample(32, collector.horizon, measure, collector.min_horizon, future=collector.wants_future)
 
             updates = Updater(collector, draw, random, graph)
             seen: list[str] = []

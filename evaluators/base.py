@@ -21,14 +21,11 @@ class Evaluator(MemberStack):
         learns_from_rewards: whether it trains on labelled datasets; one that does not is told of tasks afterwards, as a
             :class:`~cudc_bench.evaluators.zero_shot.ZeroShotLearner` is.
         wants_next_action: whether batches must hold the action after s'; transitions that end an episode are then never drawn.
-        wants_future: whether batches must hold a later state of the same episode and any state of the data
-            (``Batch.future_observation``, ``Batch.other_observation``).
     """
 
     summary: ClassVar[str] = ""
     learns_from_rewards: ClassVar[bool] = True
     wants_next_action: ClassVar[bool] = False
-    wants_future: ClassVar[bool] = False
 
     def __init__(self, observation: int, action: int, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:
         """Build the agents for observations (S,) and actions (A,)."""

@@ -47,7 +47,7 @@ class HILP(SuccessorFeatures):
     citation = "Park et al. 2024"
     paper = "https://arxiv.org/abs/2402.15567"
     summary = "successor features of Hilbert representations"
-    wants_future = True
+    wants_future = "last"
 
     mean: Tensor
 

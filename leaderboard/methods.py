@@ -25,6 +25,7 @@ _STYLED: dict[str, tuple[str, Any]] = {
     name: (colour, dashes)
     for colour, names in (
         # Later ones are solid, in the colour of a relative.
+        (_OTHER_COLOURS[0], ("ctec",)),
         (_OTHER_COLOURS[1], ("moss",)),
         *((colour, ("", name)) for colour, name in zip(_OTHER_COLOURS, ("be", "cic", "diayn", "disagreement", "rnd", "smm"), strict=True)),
         (COLOURS["icm"], ("", "cudc-vary-icm")),

@@ -117,7 +117,8 @@ class _Run(Interaction):
     def draw(self, measure: bool) -> Batch:
         assert self.replay is not None
         collector = self._collector
-        return self.replay.sample(collector.config.batch_size, collector.horizon, measure, collector.min_horizon)
+        size, horizon = collector.config.batch_size, collector.horizon
+        return self.replay.sample(size, horizon, measure, collector.min_horizon, future=collector.wants_future)
 
     def is_measured(self, step: int) -> bool:
         # The last update before a line.

@@ -138,7 +138,7 @@ def try_updates(kind: str, name: str, device: str, engine: str = "auto") -> tupl
 
     def draw(measure: bool) -> Any:
         horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        return data.sample(settings["batch_size"], horizon, measure, getattr(learner, "min_horizon", None), following)
+        return data.sample(settings["batch_size"], horizon, measure, getattr(learner, "min_horizon", None), following, learner.wants_future)
 
     update = Updater(learner, draw, random, graphs_for(learner, learner.device))
     for _ in range(WARM_UP + 3):

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from cudc_bench.errors import UsageError
 from cudc_bench.learning.networks import MemberRandom, Trainable, adam, bf16_products, minimise
-from cudc_bench.learning.replay import Batch
+from cudc_bench.learning.replay import Batch, Future
 from cudc_bench.settings.config import Precision
 
 
@@ -27,6 +27,8 @@ class MemberStack(ABC):
         values: hyperparameters that make a named variant out of the method that it is a subclass of.
         citation: the paper, for lists and tables.
         paper: where it can be read, an address that begins with https://; empty if it is not known.
+        wants_future: whether batches must hold a later state of the same episode and any state of the data
+            (``Batch.future_observation``, ``Batch.other_observation``), and how the first is drawn.
         stacks_exactly: whether, on a CPU, in one thread and with updates one by one, a member learns and acts the same to the last bit
             whoever is beside it. Members of others are alone there; the contract battery shows whether it is so.
 
@@ -40,6 +42,7 @@ class MemberStack(ABC):
     values: ClassVar[Mapping[str, Any]] = {}
     citation: ClassVar[str]
     paper: ClassVar[str] = ""
+    wants_future: ClassVar[Future | None] = None
     stacks_exactly: ClassVar[bool] = False
 
     def __init__(self, config: Any, seeds: Sequence[int], device: torch.device | str = "cpu") -> None:

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from cudc_bench.learning.networks import MemberRandom
 
-FUTURE = 0.99  # how probable each further step is on the way to a future state, in all of HILP's experiments
+FUTURE = 0.99  # how probable each further step is on the way to a future state, in all of HILP's and C-TeC's experiments
+# What becomes of futures beyond the end of the episode: its last state takes their place, or those within share their probability.
+Future = Literal["last", "within"]
 
 
 @dataclass
@@ -135,7 +137,7 @@ class Episodes:
 
     def sample(
         self, size: int, horizon: Tensor, measure: bool = False, min_horizon: int | None = None, next_action: bool = False,
-        future: bool = False,
+        future: Future | None = None,
     ) -> Batch:  # fmt: skip
         """A minibatch of B k-step transitions for each member; rewards are those of the first step.
 
@@ -145,8 +147,9 @@ class Episodes:
             measure: see :class:`Batch`.
             next_action: also give the action that follows s_{t+k}; transitions to the end of an episode, which has none, are left out.
             min_horizon: also give a second end to each transition, k' steps after its start, k' uniform from there to k.
-            future: also give a state of the same episode that is Δ steps after s_t, or its last one, Δ ≥ 1 geometric (``FUTURE``); and
-                any state of the data: uniformly an episode, then uniformly one of its states.
+            future: also give a state of the same episode that is Δ steps after s_t, Δ ≥ 1 geometric (``FUTURE``), or, with ``last``, the
+                episode's last one where that is less, and with ``within`` under the condition that it is not; and any state of the data:
+                uniformly an episode, then uniformly one of its states.
         """
         observation_row, action_row, left = self._draw(size, horizon + 1 if next_action else horizon)
         flat_observation = self.observations.flatten(0, 1)
@@ -169,7 +172,10 @@ class Episodes:
             nearer = flat_observation.index_select(0, (first + k).flatten()).view(*first.shape, -1)
         later, other = None, None
         if future:
-            steps = 1 + (torch.log1p(-self.random.uniform(size, dtype=torch.float64)) / math.log(FUTURE)).long()
+            reach = self.random.uniform(size, dtype=torch.float64)
+            if future == "within":
+                reach *= 1.0 - FUTURE ** left.double()
+            steps = 1 + (torch.log1p(-reach) / math.log(FUTURE)).long()
             any_row, _ = self.indices(size, torch.zeros_like(horizon))
             rows = torch.cat([first + torch.minimum(steps, left), any_row + base * self.observations.shape[1]], dim=1)
             later, other = flat_observation.index_select(0, rows.flatten()).view(*rows.shape, -1).split(size, dim=1)

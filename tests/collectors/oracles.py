@@ -26,7 +26,8 @@ from tests.plain import Adam, Member, Weights, ema, mlp, noisy, trunk, trunk_mlp
 
 @dataclass
 class Sample:
-    """One member's minibatch: (s, a, s') with s' k steps after s, the skill that a followed, and a second end k' ≤ k steps after s."""
+    """One member's minibatch: (s, a, s') with s' k steps after s, the skill that a followed, a second end k' ≤ k steps after s,
+    and some later state."""
 
     s: Tensor
     a: Tensor
@@ -35,6 +36,7 @@ class Sample:
     skill: Tensor | None = None
     s_nearer: Tensor | None = None
     k_nearer: Tensor | None = None
+    s_future: Tensor | None = None
 
 
 @dataclass
@@ -437,12 +439,27 @@ def moss(
     moments = running(m, distances)
     scale = moments.variance if normalise_by == "variance" else moments.variance.sqrt()
     entropy = particle_entropy(distances - moments.mean, scale, distance_floor)
-    if skill_mode == "half":
-        explores = b.skill[:, -(b.skill.shape[1] // 2) :].abs().sum(1) == 0
-    else:
-        explores = b.skill.mean(1) > 0
+    last = b.skill[:, -(b.skill.shape[1] // 2) :].sum(1)
+    explores = last == 0 if skill_mode == "half" else last > 0
     assert 0 < explores.sum() < len(explores)
     return Found(torch.where(explores, 1.0, -1.0) * entropy, {"loss_contrastive": contrastive_step(m, b, temperature)})
+
+
+def ctec(m: Explorer, b: Sample, *, logsumexp_weight: float = 0.1, **sizes: int) -> Found:
+    """The reward is that of the forward pass before the step: how far the future that was drawn is, in ℓ1."""
+    u = unit(mlp(m.pair_encoder, beside(b.s, b.a))) / torch.exp(m.log_temperature)
+    v = unit(mlp(m.state_encoder, b.s_future))
+    contrasts, logs, reward = [], [], []
+    for i in range(len(u)):
+        energies = -(v - u[i]).abs().sum(1)
+        logs.append(torch.log(torch.exp(energies).sum()))
+        contrasts.append(logs[-1] - energies[i])
+        reward.append(-energies[i].detach())
+    losses = {
+        "loss_contrastive": torch.stack(contrasts).mean(), "loss_logsumexp": logsumexp_weight * (torch.stack(logs) ** 2).mean(),
+    }  # fmt: skip
+    m.minimise(sum(losses.values()), "pair_encoder", "state_encoder", "log_temperature")
+    return Found(torch.stack(reward), losses)
 
 
 # CUDC (spec 3) and its relatives (spec 4)
@@ -714,7 +731,7 @@ RELATIVES: dict[str, Parts] = {
 
 ORACLES: dict[str, Callable[..., Found]] = {
     "icm": icm, "apt": apt, "apt-k6": apt, "apt-ksched": apt_schedule, "be": be, "proto": proto, "aps": aps, "rnd": rnd,
-    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic, "moss": moss,
+    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic, "moss": moss, "ctec": ctec,
     **{name: partial(cudc, parts=parts) for name, parts in RELATIVES.items()},
     # ICM's and APT's own rewards, of the updated networks, and APT's own target, with its gradient.
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True, state_target="live"),

@@ -29,7 +29,17 @@ def flow(name: str) -> Hashable:
     grows = collector.max_horizon > int(collector.horizon.max())
     skills = bool(collector.skill_size) and ("steps" if collector.skill_steps else "episodes")
     rule = getattr(config, "k_rule", None) if grows else None
-    return kind.act, kind.next_skill, kind.learns, skills, grows, rule, kind.measured_by_pilot(config), collector.min_horizon is None
+    return (
+        kind.act,
+        kind.next_skill,
+        kind.learns,
+        skills,
+        grows,
+        rule,
+        kind.measured_by_pilot(config),
+        collector.min_horizon is None,
+        kind.wants_future,
+    )
 
 
 def code(name: str) -> Hashable:
@@ -75,7 +85,9 @@ class TestCollectors(CollectorContract):
 
 def test_what_runs_once_for_several_runs_for_every_method_and_every_rule_for_k() -> None:
     assert set(COSTLY) <= set(dir(CollectorContract))
-    methods = {"aps", "apt", "be", "cic", "cudc", "diayn", "disagreement", "icm", "moss", "proto", "random", "rnd", "smm", "apt-ksched"}
+    methods = {
+        "aps", "apt", "be", "cic", "ctec", "cudc", "diayn", "disagreement", "icm", "moss", "proto", "random", "rnd", "smm", "apt-ksched",
+    }  # fmt: skip
     assert methods <= set(COSTLY["test_a_run_that_was_interrupted_ends_as_if_it_had_not_been"])
     for test, names in COSTLY.items():
         if names == one_each(encoder):

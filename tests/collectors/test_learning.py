@@ -107,7 +107,7 @@ def visited(name: str) -> int:
     return places.cells()
 
 
-@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "moss", "cudc"])
+@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "moss", "ctec", "cudc"])
 def test_covers_more_of_a_square_than_random_actions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     simulators: Callable[[str, int], list[PointMass]] = lambda domain, count: [PointMass() for _ in range(count)]  # noqa: E731
     monkeypatch.setattr(interaction, "make_simulators", simulators)
@@ -147,3 +147,29 @@ def test_continuous_skills_and_what_they_lead_to_find_each_other(name: str) -> N
         batch = Batch(observation, torch.zeros(1, 32, 6), observation + skill @ projection, collector.horizon, measure=True, skill=skill)
         losses.append(collector.update(batch)["loss_alignment" if name == "aps" else "loss_contrastive"].item())
     assert np.mean(losses[-20:]) < np.mean(losses[:5]) - 0.5
+
+
+def test_ctec_rewards_states_whose_future_is_hard_to_tell() -> None:
+    """Of half of the states the future is a function of state and action; of the others it is anything."""
+    ctec = make("ctec", width=32)
+    half = torch.arange(32) < 16
+
+    def batch(seed: int) -> Batch:
+        generator = torch.Generator().manual_seed(seed)
+        state, anything = (torch.randn(1, 32, 24, generator=generator) for _ in range(2))
+        state[..., 0] = torch.where(half, 2.0, -2.0)
+        future = torch.where(half[:, None], 0.9 * state, anything)
+        return Batch(state, torch.zeros(1, 32, 6), state, ctec.horizon, future_observation=future)
+
+    def ratio(seeds: range) -> float:
+        rewards = []
+        for seed in seeds:
+            ctec.update(one := batch(seed))
+            rewards.append(ctec.reward(one)[0])
+        reward = torch.stack(rewards).mean(0)
+        return float(reward[~half].mean() / reward[half].mean())
+
+    before = ratio(range(10))
+    for seed in range(10, 250):
+        ctec.update(batch(seed))
+    assert ratio(range(250, 270)) > 1.3 * before

@@ -6,11 +6,10 @@ import pytest
 import torch
 
 from cudc_bench.collectors.be import BE
+from cudc_bench.collectors.contract import SPACES
 from cudc_bench.learning.knn import neighbour_distances
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.running_mean_std import RunningMeanStd
-
-from cudc_bench.collectors.contract import SPACES
 
 from .helpers import batch_for, make
 

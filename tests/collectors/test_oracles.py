@@ -60,6 +60,7 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
         {"normalise_by": "std", "neighbours": 5, "knn_exclude_self": True, "temperature": 1.3, "distance_floor": 0.5, "skill_dim": 7},
         {"skill_mode": "sign", "periods": 4.0},
     ],
+    "ctec": [{"logsumexp_weight": 2.0, "embedding_dim": 5}],
     "cudc": [
         {"state_target": "live", "knn_exclude_self": True, "neighbours": 5} | GROWING,
         {"state_target": "momentum", "momentum_tau": 0.3, "alpha": 2.0, "beta": 0.5, "loss_weights": (0.5, 2.0, 3.0, 0.1)},
@@ -98,6 +99,7 @@ SIZES_OF: dict[str, dict[str, Any]] = {
     "smm": {"vae_hidden": 150, "skills": 4, "skill_every": 0},
     "cic": {"skill_dim": 64, "skill_every": 50},
     "moss": {"skill_dim": 32, "skill_every": 50, "periods": 2.0},
+    "ctec": {"embedding_dim": 64},
 }
 OF_CUDC = {"action_feature_dim": 64, "action_hidden": 64, "projection_hidden": 128, "projection_dim": 64, "w_init": "uniform"}
 SWITCHES = {
@@ -147,6 +149,8 @@ def minibatch(collector: Any, update: int) -> Batch:
         batch.nearer_horizon = collector.min_horizon + torch.arange(SIZE) % (batch.horizon[:, None] - collector.min_horizon + 1)
     if batch.skill is not None:
         batch.skill = batch.skill.double()
+    if batch.other_observation is not None:
+        batch.other_observation.fill_(torch.nan)
     batch.reward, batch.next_action = torch.full((len(SEEDS), SIZE), torch.nan), torch.full_like(batch.action, torch.nan)
     return batch
 
@@ -154,8 +158,8 @@ def minibatch(collector: Any, update: int) -> Batch:
 def sample(batch: Batch, e: int) -> Sample:
     parts = (batch.observation, batch.action, batch.next_observation, batch.horizon, batch.skill)
     s, a, s_next, k, skill = (None if part is None else part[e] for part in parts)
-    nearer = (None if part is None else part[e] for part in (batch.nearer_observation, batch.nearer_horizon))
-    return Sample(s, a, s_next, int(k), skill, *nearer)
+    later = (batch.nearer_observation, batch.nearer_horizon, batch.future_observation)
+    return Sample(s, a, s_next, int(k), skill, *(None if part is None else part[e] for part in later))
 
 
 def watch(collector: Any) -> dict[str, Tensor | None]:
@@ -295,6 +299,7 @@ def layers(name: str) -> dict[str, tuple[int, ...]]:
                 name: {"state_network": (s, w, w, d), "pair_network": (2 * d, w, w, d), "skill_network": (d, w, w, d)}
                 for name, d in (("cic", 64), ("moss", 32))
             },
+            "ctec": {"pair_encoder": (s + a, w, w, 64), "state_encoder": (s, w, w, 64)},
         }[name]
         skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64, "moss": 32}.get(name, 0), 10 if name == "aps" else 1
     # Two heads side by side behind one trunk, the hidden layers of both together.
@@ -367,7 +372,7 @@ def test_float32_gives_the_same_within_its_rounding(name: str) -> None:
     found, expected = watch(single), watch(double)
     for collector, dtype in ((single, torch.float32), (double, torch.float64)):
         batch = minibatch(collector, 1)
-        for part in ("observation", "action", "next_observation", "nearer_observation", "skill"):
+        for part in ("observation", "action", "next_observation", "nearer_observation", "future_observation", "skill"):
             if (value := getattr(batch, part)) is not None:
                 setattr(batch, part, value.to(dtype))
         collector.update(batch)

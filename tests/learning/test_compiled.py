@@ -110,8 +110,7 @@ def updates_of(learner: Any, graph: Callable[[], Graph] | None, double: bool = F
 
     def draw(measure: bool) -> Batch:
         horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        future = getattr(learner, "wants_future", False)
-        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following, future)
+        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following, learner.wants_future)
 
     return Updater(learner, draw, random, graph)
 

@@ -203,8 +203,8 @@ def test_on_a_gpu_graphs_equal_single_steps_and_nothing_waits(kind: str, name: s
 
         def draw(measure: bool, episodes: Episodes = episodes, learner: Any = learner) -> Batch:
             horizon = getattr(learner, "horizon", torch.ones(2, dtype=torch.int64, device="cuda"))
-            following, future = getattr(learner, "wants_next_action", False), getattr(learner, "wants_future", False)
-            return episodes.sample(64, horizon, measure, getattr(learner, "min_horizon", None), following, future)
+            following = getattr(learner, "wants_next_action", False)
+            return episodes.sample(64, horizon, measure, getattr(learner, "min_horizon", None), following, learner.wants_future)
 
         updates = Updater(learner, draw, random, graphs_for(learner, learner.device) if graphed else None)
         for _ in range(2 * WARM_UP + 2):

@@ -98,10 +98,13 @@ def test_members_that_share_a_source_get_their_own_rewards():
 
 
 @settings(max_examples=40, deadline=None)
-@given(lengths=st.lists(st.integers(2, 9), min_size=1, max_size=4), next_action=st.booleans(), seed=st.integers(0, 99))
-def test_future_states_come_later_in_the_same_episode(lengths, next_action, seed):
+@given(
+    lengths=st.lists(st.integers(2, 9), min_size=1, max_size=4), next_action=st.booleans(), seed=st.integers(0, 99),
+    future=st.sampled_from(["last", "within"]),
+)  # fmt: skip
+def test_future_states_come_later_in_the_same_episode(lengths, next_action, seed, future):
     batch = coded(lengths, seeds=(seed, seed + 1), source_of_member=[0, 0]).sample(
-        64, torch.ones(2, dtype=torch.int64), next_action=next_action, future=True
+        64, torch.ones(2, dtype=torch.int64), next_action=next_action, future=future
     )
     assert torch.equal(batch.future_observation[..., :2], batch.observation[..., :2])
     limit = torch.tensor(lengths)[batch.observation[..., 1].long()]
@@ -114,7 +117,7 @@ def test_future_states_come_later_in_the_same_episode(lengths, next_action, seed
 
 def test_future_states_are_geometric_up_to_the_end_and_other_states_uniform():
     count, one = 40_000, torch.tensor([1])
-    batch = coded([300, 300]).sample(count, one, future=True)
+    batch = coded([300, 300]).sample(count, one, future="last")
     start, later = batch.observation[0, :, 2], batch.future_observation[0, :, 2]
     early = start < 150
     steps = (later - start)[early].long()
@@ -138,9 +141,21 @@ def test_future_states_are_geometric_up_to_the_end_and_other_states_uniform():
     assert plain.future_observation is plain.other_observation is None
 
 
+def test_future_states_within_an_episode_are_geometric_as_far_as_it_lasts():
+    """P(Δ = j) of those j that end before the episode does."""
+    batch = coded([20]).sample(200_000, torch.tensor([1]), future="within")
+    start, later = (part[0, :, 2].long() for part in (batch.observation, batch.future_observation))
+    for t in (0, 12, 17, 19):
+        left = 20 - t
+        weights = torch.tensor([0.99**j for j in range(1, left + 1)])
+        share = torch.bincount((later - start)[start == t], minlength=left + 1) / (start == t).sum()
+        assert len(share) == left + 1
+        torch.testing.assert_close(share[1:], weights / weights.sum(), atol=0.02, rtol=0)
+
+
 def test_members_draw_their_own_future_and_other_states():
-    together = coded([9, 11], seeds=(5, 6), sources=2).sample(32, torch.tensor([1, 1]), future=True)
-    alone = coded([9, 11], seeds=(6,)).sample(32, torch.tensor([1]), future=True)
+    together = coded([9, 11], seeds=(5, 6), sources=2).sample(32, torch.tensor([1, 1]), future="last")
+    alone = coded([9, 11], seeds=(6,)).sample(32, torch.tensor([1]), future="last")
     for name in ("future_observation", "other_observation"):
         assert torch.equal(getattr(together, name)[1, :, 1:], getattr(alone, name)[0, :, 1:])
         assert (getattr(together, name)[1, :, 0] == 1).all()

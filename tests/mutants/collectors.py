@@ -772,6 +772,25 @@ METHODS = [
         ("= 2.0", "= 4.0"),
         ('Literal["half", "sign"] = "half"', 'Literal["half", "sign"] = "sign"'),
     ),
+    # C-TeC
+    *mutants(
+        "collectors/ctec.py", ("ctec",),
+        ("self.pair_encoder(torch.cat([batch.observation, batch.action], dim=-1)), dim=-1)",
+         "self.pair_encoder(torch.cat([batch.observation, batch.action], dim=-1)), dim=1)",
+         "self.pair_encoder(torch.cat([batch.next_observation, batch.action], dim=-1)), dim=-1)"),
+        ("return F.normalize(self.state_encoder(observation), dim=-1)", "return self.state_encoder(observation)"),
+        ("(-self.log_temperature).exp()", "self.log_temperature.exp()", "(-self.log_temperature.detach()).exp()", "1.0"),
+        ("self.represent(batch.future_observation)", "self.represent(batch.next_observation)", "self.represent(batch.future_observation).detach()"),
+        ("p=1.0", "p=2.0"),
+        ("(-distances).logsumexp(-1)", "(-distances).logsumexp(1)", "distances.logsumexp(-1)"),
+        ("= own.detach()", "= -own.detach()", "= (own + log_sum).detach()", "= 1.02 * own.detach()", "= own.mean(1, keepdim=True).expand_as(own).detach()"),
+        ("(log_sum + own).mean(1)", "(log_sum - own).mean(1)", "(log_sum + own).sum(1)", "1.02 * (log_sum + own).mean(1)", "(log_sum + own.detach()).mean(1)"),
+        ("log_sum.square().mean(1)", "log_sum.mean(1)", "log_sum.mean(1).square()", "log_sum.square().sum(1)", "log_sum.detach().square().mean(1)"),
+        ("width, width, size)\n        self.state", "width, size)\n        self.state"),
+        ("return [self.pair_encoder, self.state_encoder, self.log_temperature]", "return [self.pair_encoder, self.state_encoder]"),
+        ("logsumexp_weight: NonNegativeFloat = 0.1", "logsumexp_weight: NonNegativeFloat = 0.0"),
+        ("embedding_dim: PositiveInt = 64", "embedding_dim: PositiveInt = 32"),
+    ),
 ]  # fmt: skip
 
 CUDC = [
