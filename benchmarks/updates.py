@@ -69,7 +69,8 @@ def drawing_updates(learner: Any, engine: str, episodes: int) -> Updater:
 
     def draw(measure: bool) -> Batch:
         horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following, learner.wants_future)
+        nearest = getattr(learner, "min_horizon", None)
+        return data.sample(learner.config.batch_size, horizon, measure, nearest, following, learner.wants_future)
 
     set_engine(learner, engine)
     return Updater(learner, draw, random, graphs_for(learner, device))

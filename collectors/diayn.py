@@ -42,8 +42,7 @@ class OneHotSkills(DDPG):
         return int(self.config.skill_every)
 
     def sample_skills(self, random: MemberRandom, t: int) -> Tensor:
-        skills = self.config.skills
-        return F.one_hot((random.uniform() * skills).long().clamp_(max=skills - 1), skills).float()
+        return one_hot_skills(random, self.config.skills)
 
 
 class DIAYN(OneHotSkills):
@@ -78,6 +77,11 @@ def skill_of(batch: Batch) -> Tensor:
     """The skills (E, B, K) of a minibatch of a method with skills."""
     assert batch.skill is not None
     return batch.skill
+
+
+def one_hot_skills(random: MemberRandom, count: int) -> Tensor:
+    """One of so many skills for each member (E, K), all equally likely, as one-hot codes."""
+    return F.one_hot((random.uniform() * count).long().clamp_(max=count - 1), count).float()
 
 
 def skill_cross_entropy(logits: Tensor, skill: Tensor) -> Tensor:

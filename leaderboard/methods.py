@@ -27,6 +27,7 @@ _STYLED: dict[str, tuple[str, Any]] = {
         # Later ones are solid, in the colour of a relative.
         (_OTHER_COLOURS[0], ("ctec",)),
         (_OTHER_COLOURS[1], ("moss",)),
+        (_OTHER_COLOURS[2], ("metra",)),
         *((colour, ("", name)) for colour, name in zip(_OTHER_COLOURS, ("be", "cic", "diayn", "disagreement", "rnd", "smm"), strict=True)),
         (COLOURS["icm"], ("", "cudc-vary-icm")),
         (COLOURS["apt"], ("", "cudc-vary-apt", "apt-k6", "apt-ksched")),

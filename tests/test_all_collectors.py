@@ -16,7 +16,7 @@ from cudc_bench.artefacts.records import read_record
 
 from .served import briefly
 
-OURS = {"aps", "apt", "be", "cic", "ctec", "cudc", "diayn", "disagreement", "icm", "moss", "proto", "random", "rnd", "smm"}
+OURS = {"aps", "apt", "be", "cic", "ctec", "cudc", "diayn", "disagreement", "icm", "metra", "moss", "proto", "random", "rnd", "smm"}
 STUDIED = {
     "cudc-vary-icm", "cudc-vary-apt", "cudc-reward", "cudc-reach", "cudc-no-entropy", "cudc-no-pe", "cudc-no-regularize", "cudc-no-vary",
     "cudc-no-reach", "cudc-no-inverse", "cudc-uniform-k", "cudc-normal-k", "cudc-kmax3", "cudc-kmax4", "cudc-kmax5", "cudc-kmax6",
@@ -28,7 +28,7 @@ SAME = {
     "cudc-no-regularize": "cudc-reach", "cudc-kmax3": "cudc-no-vary", "cudc-kmax6": "cudc", "cudc-stopgrad": "cudc",
     "cudc-one-setting": "cudc",
 }  # fmt: skip
-SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "moss": 32, "smm": 4}
+SKILLS = {"aps": 10, "cic": 64, "diayn": 16, "metra": 4, "moss": 32, "smm": 4}
 
 
 NAMES = plugins.names("collectors")

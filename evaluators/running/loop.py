@@ -243,10 +243,11 @@ def rehearse_evaluation(agent: Evaluator, data: Episodes, config: EvaluateConfig
 def _updates(agent: Evaluator, data: Episodes, config: EvaluateConfig) -> Updater:
     set_precision(agent, config.precision)
     horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
-    asked = {"next_action": agent.wants_next_action, "future": agent.wants_future}
     return Updater(
         agent,
-        lambda measure: data.sample(agent.config.batch_size, horizon, measure, **asked),
+        lambda measure: data.sample(
+            agent.config.batch_size, horizon, measure, next_action=agent.wants_next_action, future=agent.wants_future
+        ),
         data.random,
         graphs_for(agent, agent.device),
     )

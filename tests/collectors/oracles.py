@@ -462,6 +462,23 @@ def ctec(m: Explorer, b: Sample, *, logsumexp_weight: float = 0.1, **sizes: int)
     return Found(torch.stack(reward), losses)
 
 
+def metra(m: Explorer, b: Sample, *, discrete: bool = False, slack: float = 1e-3, **sizes: float) -> Found:
+    """φ, then λ, each in an Adam of its own; the reward is that of the φ after its step."""
+    size = b.skill.shape[1]
+    direction = (b.skill - b.skill.mean(1)[:, None]) * size / (size - 1) if discrete else b.skill
+
+    def moved() -> Tensor:
+        return mlp(m.state_network, b.s_next) - mlp(m.state_network, b.s)
+
+    weight, step = torch.exp(m.log_multiplier.detach()), moved()
+    excess = torch.maximum((step**2).sum(1) / size - 1, torch.tensor(-slack))
+    loss = (weight * excess - (step * direction).sum(1)).mean()
+    m.minimise(loss, "state_network")
+    m.minimise(-(m.log_multiplier * excess.detach().mean()).sum(), "log_multiplier")
+    reward = (moved() * direction).sum(1).detach()
+    return Found(reward, {"loss_skill": loss, "multiplier": weight.squeeze(), "excess": excess.mean()})
+
+
 # CUDC (spec 3) and its relatives (spec 4)
 
 
@@ -731,7 +748,7 @@ RELATIVES: dict[str, Parts] = {
 
 ORACLES: dict[str, Callable[..., Found]] = {
     "icm": icm, "apt": apt, "apt-k6": apt, "apt-ksched": apt_schedule, "be": be, "proto": proto, "aps": aps, "rnd": rnd,
-    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic, "moss": moss, "ctec": ctec,
+    "disagreement": disagreement, "diayn": diayn, "smm": smm, "cic": cic, "moss": moss, "ctec": ctec, "metra": metra,
     **{name: partial(cudc, parts=parts) for name, parts in RELATIVES.items()},
     # ICM's and APT's own rewards, of the updated networks, and APT's own target, with its gradient.
     "cudc-vary-icm": partial(cudc, parts=RELATIVES["cudc-vary-icm"], beta=0.0, reward_after_update=True, state_target="live"),

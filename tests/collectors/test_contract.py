@@ -86,7 +86,8 @@ class TestCollectors(CollectorContract):
 def test_what_runs_once_for_several_runs_for_every_method_and_every_rule_for_k() -> None:
     assert set(COSTLY) <= set(dir(CollectorContract))
     methods = {
-        "aps", "apt", "be", "cic", "ctec", "cudc", "diayn", "disagreement", "icm", "moss", "proto", "random", "rnd", "smm", "apt-ksched",
+        "aps", "apt", "be", "cic", "ctec", "cudc", "diayn", "disagreement", "icm", "metra", "moss", "proto", "random", "rnd", "smm",
+        "apt-ksched",
     }  # fmt: skip
     assert methods <= set(COSTLY["test_a_run_that_was_interrupted_ends_as_if_it_had_not_been"])
     for test, names in COSTLY.items():

@@ -107,7 +107,7 @@ def visited(name: str) -> int:
     return places.cells()
 
 
-@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "moss", "ctec", "cudc"])
+@pytest.mark.parametrize("name", ["apt", "be", "proto", "aps", "cic", "moss", "ctec", "metra", "cudc"])
 def test_covers_more_of_a_square_than_random_actions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     simulators: Callable[[str, int], list[PointMass]] = lambda domain, count: [PointMass() for _ in range(count)]  # noqa: E731
     monkeypatch.setattr(interaction, "make_simulators", simulators)
@@ -134,7 +134,7 @@ def test_diayns_skills_become_distinguishable() -> None:
     assert np.mean(rewards[-20:]) > 0.8 * np.log(4)
 
 
-@pytest.mark.parametrize("name", ["aps", "cic", "moss"])
+@pytest.mark.parametrize("name", ["aps", "cic", "moss", "metra"])
 def test_continuous_skills_and_what_they_lead_to_find_each_other(name: str) -> None:
     collector = make(name)
     projection = torch.randn(collector.skill_size, 24, generator=torch.Generator().manual_seed(0))
@@ -142,10 +142,10 @@ def test_continuous_skills_and_what_they_lead_to_find_each_other(name: str) -> N
     for step in range(300):
         generator = torch.Generator().manual_seed(step)
         skill = torch.rand(1, 32, collector.skill_size, generator=generator) * 2 - 1
-        skill = torch.nn.functional.normalize(skill, dim=-1) if name == "aps" else skill
+        skill = torch.nn.functional.normalize(skill, dim=-1) if name in ("aps", "metra") else skill
         observation = torch.randn(1, 32, 24, generator=generator) * 0.1
         batch = Batch(observation, torch.zeros(1, 32, 6), observation + skill @ projection, collector.horizon, measure=True, skill=skill)
-        losses.append(collector.update(batch)["loss_alignment" if name == "aps" else "loss_contrastive"].item())
+        losses.append(collector.update(batch)[{"aps": "loss_alignment", "metra": "loss_skill"}.get(name, "loss_contrastive")].item())
     assert np.mean(losses[-20:]) < np.mean(losses[:5]) - 0.5
 
 

@@ -55,7 +55,7 @@ def test_neighbours_among_other_points():
 
 
 def test_skills_are_drawn_from_each_members_own_stream():
-    for name in ("diayn", "smm", "aps", "cic", "moss"):
+    for name in ("diayn", "smm", "aps", "cic", "moss", "metra"):
         pair, alone = make(name, (5, 6)), make(name, (6,))
         for t in range(0, 200, 50):
             assert torch.equal(pair.next_skill(t)[1:], alone.next_skill(t))
@@ -105,3 +105,15 @@ def test_mosss_periods_fit_into_an_episode():
     assert not any(make("moss", periods=1.0).controls_at(t) for t in range(1000))
     with pytest.raises(ValueError, match="1001 periods do not fit into an episode of 1000 steps"):
         make("moss", periods=1001.0)
+
+
+def test_metras_skills_last_an_episode_and_lie_on_a_sphere_or_are_one_hot_codes():
+    metra, discrete = make("metra", skill_dim=3), make("metra", discrete=True, skill_dim=3)
+    episodes = [episode_of_skills(metra, 1000) for _ in range(20)]
+    assert all((skills == skills[0]).all() for skills in episodes)
+    drawn = torch.stack([skills[0] for skills in episodes])
+    torch.testing.assert_close(drawn.norm(dim=1), torch.ones(20))
+    assert len(drawn.unique(dim=0)) == 20
+    codes = torch.stack([discrete.next_skill(0)[0].clone() for _ in range(60)])
+    assert torch.equal(codes.sort(dim=1).values, torch.tensor([[0.0, 0.0, 1.0]]).expand(60, 3))
+    assert (codes.sum(0) > 5).all()

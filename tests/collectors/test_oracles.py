@@ -61,6 +61,10 @@ FURTHER_RUNS: dict[str, list[dict[str, Any]]] = {
         {"skill_mode": "sign", "periods": 4.0},
     ],
     "ctec": [{"logsumexp_weight": 2.0, "embedding_dim": 5}],
+    "metra": [
+        {"skill_dim": 3, "slack": 0.7, "multiplier": 0.8, "horizon": 2},
+        {"discrete": True, "skill_dim": 5, "multiplier": 4.0},
+    ],
     "cudc": [
         {"state_target": "live", "knn_exclude_self": True, "neighbours": 5} | GROWING,
         {"state_target": "momentum", "momentum_tau": 0.3, "alpha": 2.0, "beta": 0.5, "loss_weights": (0.5, 2.0, 3.0, 0.1)},
@@ -100,6 +104,7 @@ SIZES_OF: dict[str, dict[str, Any]] = {
     "cic": {"skill_dim": 64, "skill_every": 50},
     "moss": {"skill_dim": 32, "skill_every": 50, "periods": 2.0},
     "ctec": {"embedding_dim": 64},
+    "metra": {"skill_dim": 4, "skill_every": 0, "horizon": 1, "multiplier": 30.0},
 }
 OF_CUDC = {"action_feature_dim": 64, "action_hidden": 64, "projection_hidden": 128, "projection_dim": 64, "w_init": "uniform"}
 SWITCHES = {
@@ -222,7 +227,7 @@ def test_three_updates_equal_the_formulas(run: tuple[str, dict[str, Any]]) -> No
     with doubles():
         collector = given(name, values, **times)
         assert collector.min_horizon == (3 if name == "cudc-kmix" else None)
-        assert collector.horizon.tolist() == [settings.get("horizon", 6 if name == "apt-k6" else 3)] * len(SEEDS)
+        assert collector.horizon.tolist() == [settings.get("horizon", {"apt-k6": 6, "metra": 1}.get(name, 3))] * len(SEEDS)
         members = [Explorer(collector, e) for e in range(len(SEEDS))]
         seen = watch(collector)
         for update in range(len(FURTHER)):
@@ -300,8 +305,9 @@ def layers(name: str) -> dict[str, tuple[int, ...]]:
                 for name, d in (("cic", 64), ("moss", 32))
             },
             "ctec": {"pair_encoder": (s + a, w, w, 64), "state_encoder": (s, w, w, 64)},
+            "metra": {"state_network": (s, w, w, 4)},
         }[name]
-        skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64, "moss": 32}.get(name, 0), 10 if name == "aps" else 1
+        skill, values = {"aps": 10, "diayn": 16, "smm": 4, "cic": 64, "moss": 32, "metra": 4}.get(name, 0), 10 if name == "aps" else 1
     # Two heads side by side behind one trunk, the hidden layers of both together.
     critic = (s + skill + a, w, 2 * w, 2 * values)
     return found | {"actor": (s + skill, w, w, a), "critic": critic, "target_critic": critic}
@@ -346,6 +352,8 @@ def test_networks_start_orthogonal_and_slow_copies_exact(name: str) -> None:
             assert 0.99 < weight.max() < 1
         elif network == "prototypes":
             torch.testing.assert_close(weight.detach().norm(dim=-1), torch.ones(weight.shape[:2]))
+        elif network == "log_multiplier":
+            torch.testing.assert_close(weight.detach().exp(), torch.full((len(SEEDS), 1, 1), 30.0))
         elif weight.shape[1] == 1:
             assert (weight == (kind == "weight")).all()
         elif label == "critic.out.weight":  # each head reads its own half

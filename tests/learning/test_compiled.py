@@ -110,7 +110,8 @@ def updates_of(learner: Any, graph: Callable[[], Graph] | None, double: bool = F
 
     def draw(measure: bool) -> Batch:
         horizon, following = getattr(learner, "horizon", one), getattr(learner, "wants_next_action", False)
-        return data.sample(learner.config.batch_size, horizon, measure, getattr(learner, "min_horizon", None), following, learner.wants_future)
+        nearest = getattr(learner, "min_horizon", None)
+        return data.sample(learner.config.batch_size, horizon, measure, nearest, following, learner.wants_future)
 
     return Updater(learner, draw, random, graph)
 

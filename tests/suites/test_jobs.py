@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from cudc_bench import plugins
 from cudc_bench.errors import UsageError
 from cudc_bench.suites.definition import Suite, SuiteStudy, load_suite, narrow, suite_names
 from cudc_bench.suites.display import Running, running_jobs
@@ -72,8 +73,18 @@ def test_all_shares_what_its_studies_share() -> None:
     assert kinds["stats"] == 1
     assert len({job.name for job in found.needs}) == len({job.slug for job in found.needs}) == len(found.needs)
     assert set(suite_names()) == {
-        "all", "controls", "readings", "main", "dataset-size", "cql", "density", "zero-shot", "labels", *studies,
+        "all", "controls", "readings", "main", "dataset-size", "cql", "density", "zero-shot", "labels", "field", *studies,
     }  # fmt: skip
+
+
+def test_the_field_is_every_collector_but_variants() -> None:
+    (study,) = load_suite("field").studies
+    ours = [name for name in plugins.names("collectors") if "cudc-bench" in plugins.package("collectors", name)]
+    kinds = {name: plugins.load("collectors", name) for name in ours}
+    own = {kind: name for name, kind in reversed(kinds.items()) if kind.__module__ != "cudc_bench.collectors.variants"}
+    assert sorted(study.methods) == sorted(own.values())
+    assert (study.domains, study.algos) == (("walker",), ("td3",))
+    assert count(plan("field"))["evaluate"] == 15 * 5 * 4
 
 
 def test_a_plan_is_in_an_order_in_which_it_can_be_done() -> None:
