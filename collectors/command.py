@@ -1,4 +1,4 @@
-"""``cudc-bench collect``, ``pilot``, ``import-exorl`` and ``import-minari``."""
+"""``cudc-bench collect``, ``pilot``, ``import-exorl``, ``import-minari`` and ``mix``."""
 
 from __future__ import annotations
 
@@ -166,6 +166,29 @@ def import_minari(
 
     one_method, one_task, one_seed = _single(method, task, seed, "a dataset is one collection")
     _imported(run(dataset, one_method, domain, task=one_task, seed=one_seed, source=source, dataset_id=dataset_id, overwrite=overwrite))
+
+
+def mix(
+    dataset_ids: Annotated[
+        list[str],
+        typer.Argument(help="Task-agnostic datasets of one domain, such as walker/cudc-v0.", autocompletion=completion.datasets),
+    ],
+    steps: Annotated[
+        int | None,
+        typer.Option("--steps", min=1, help="At most so many in all; those of the smallest dataset by default.", show_default=False),
+    ] = None,
+    seed: SeedsOption = "1",
+    dataset_id: DatasetIdOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Make one dataset of equal parts of several, by whole episodes."""
+    from .importing.mix import mix as run
+
+    seeds = parse_seeds(seed)
+    if len(seeds) > 1 and dataset_id is not None:
+        raise UsageError(f"--dataset-id names one dataset, but there are {len(seeds)} seeds; leave it out.")
+    for one in seeds:
+        _imported(run(dataset_ids, steps, one, dataset_id=dataset_id, overwrite=overwrite))
 
 
 def _single(method: str, task: str, seed: str, why: str) -> tuple[str, str | None, int]:

@@ -46,6 +46,7 @@ __all__ = [
     "make_leaderboard",
     "make_references",
     "measure_quality",
+    "mix",
     "pilot",
     "relabel",
     "render_policy",
@@ -57,9 +58,8 @@ __all__ = [
     "verify",
 ]
 _STAGES = (
-    "collect", "pilot", "import_exorl", "import_minari", "relabel", "evaluate", "make_references", "ask_policy", "load_policy",
-    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets",
-    "run_suite", "rerun",
+    "collect", "pilot", "import_exorl", "import_minari", "mix", "relabel", "evaluate", "make_references", "ask_policy", "load_policy",
+    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets", "run_suite", "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

@@ -57,18 +57,18 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
         if exists(one):
             manifest = read_manifest(one)
             check_profile(manifest, str(one), name)
-            if manifest.imported is None:
+            if manifest.was_collected:
                 _check_unchanged(manifest, str(one))
     return ids
 
 
 def _default_or_imported(domain: str, method: str, seed: int, profile: str) -> DatasetId:
-    """The default id at a profile; where nothing is there, that of an imported dataset, which goes with every profile."""
+    """The default id at a profile; where nothing is there, that of a dataset of others' data, which goes with every profile."""
     own, imported = (default_id(domain, method, seed, one) for one in (profile, IMPORTED_PROFILE))
     if own == imported or exists(own) or not exists(imported):
         return own
     try:
-        return imported if read_manifest(imported).imported is not None else own
+        return imported if read_manifest(imported).profile == IMPORTED_PROFILE else own
     except (UsageError, RunError):
         return own
 
@@ -94,7 +94,7 @@ def ensure_collected(
     """
     ids = check_collected(method, domain, seeds, profile=profile)
     for one in ids:
-        if exists(one) and (manifest := read_manifest(one)).imported is not None:
+        if exists(one) and not (manifest := read_manifest(one)).was_collected:
             echo(f"{one} was not collected here: {manifest.describe()}")
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
@@ -186,13 +186,13 @@ def check_reward(manifest: Manifest, dataset_id: str, reward: CustomReward | Non
 
 
 def check_profile(manifest: Manifest, dataset_id: str, profile: str) -> None:
-    """Refuse to go on at one profile from a dataset collected at another; an imported one goes with every profile.
+    """Refuse to go on at one profile from a dataset collected at another; one of others' data alone goes with every profile.
 
     Raises:
         UsageError: they differ; the message names both and the ways out.
     """
     name = resolve_profile(profile).name
-    if manifest.imported is None and manifest.profile != name:
+    if manifest.profile not in (name, IMPORTED_PROFILE):
         raise UsageError(
             f"'{dataset_id}' exists at another profile ({manifest.describe()}) than {name}; "
             f"use --profile {manifest.profile}, or collect it anew with --overwrite."

@@ -1,1 +1,1 @@
-"""Data sets of others, brought in as if they had been collected here."""
+"""Datasets of others, brought in as if they had been collected here, and mixtures of datasets."""

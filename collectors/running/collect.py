@@ -204,11 +204,12 @@ class _Stack:
 
 def _is_made(setting: RunSpec, seed: int, dataset_id: DatasetId) -> bool:
     """Whether the dataset of that id exists and is what this run would make."""
-    wanted = (setting.method, setting.domain, setting.profile, seed, config_hash(setting.values), None, None)
+    wanted = (setting.method, setting.domain, setting.profile, seed, config_hash(setting.values), None)
     return dataset_stands(
         dataset_id,
         lambda there: (
-            (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash, there.task, there.imported) == wanted
+            there.was_collected
+            and (there.method, there.domain, there.profile, there.seed, there.hyperparameters_hash, there.task) == wanted
         ),
     )
 

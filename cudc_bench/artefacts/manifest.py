@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_folder, read_limited
+from cudc_bench.settings.seeding import episode_seed
 
 KEY = "cudc_bench"
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
@@ -88,6 +90,73 @@ class Import(BaseModel):
     ignored: list[str] = []
 
 
+class PartOrigin(BaseModel):
+    """A dataset of which a mixture has episodes, and all that is known of how it was collected.
+
+    Attributes:
+        id, fingerprint: of that dataset.
+        method, seed, profile, overrides, hyperparameters, citation: as in its manifest.
+        source: who collected it, if it was imported.
+        collected: what its states and observations were made with.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: str
+    fingerprint: _Sha256
+    method: str
+    seed: int
+    profile: str
+    overrides: dict[str, Any] = {}
+    hyperparameters: dict[str, Any] = {}
+    citation: str = ""
+    source: Source | None = None
+    collected: Collected
+
+    @property
+    def label(self) -> str:
+        """The method, with its source where this project did not collect it."""
+        return self.method if self.source is None else f"{self.method} ({self.source})"
+
+
+class Part(PartOrigin):
+    """One of the equal parts of a mixture.
+
+    Attributes:
+        episodes: the numbers in that dataset of those that were taken, in their order.
+    """
+
+    episodes: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)]
+
+    def episode_seed(self, number: int) -> int | None:
+        """The seed that the environment of one of these episodes, by its place among them, was reset with; None of what was imported."""
+        return None if self.source is not None else episode_seed(self.seed, "environment", self.episodes[number])
+
+
+class Mixture(BaseModel):
+    """Of which episodes a mixture is: the first of each part, then the second of each, and so on.
+
+    Attributes:
+        parts: in their order; each has equally many episodes, of equal length.
+        ignored: infos that were left out, since not all parts have them, or not in one form.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    parts: Annotated[list[Part], Field(min_length=2)]
+    ignored: list[str] = []
+
+    def origin(self, index: int) -> tuple[Part, int]:
+        """The part that an episode is of, and how many episodes of that part come before it."""
+        number, place = divmod(index, len(self.parts))
+        return self.parts[place], number
+
+
+def mixture_label(method: str, parts: Sequence[PartOrigin]) -> str:
+    """The name of a mixture of some parts: ``"mixture (cudc, rnd)"``."""
+    return f"{method} ({', '.join(sorted({part.label for part in parts}))})"
+
+
 class Pilot(BaseModel):
     """A threshold that a method needed, and the pilot run that measured it (see ``cudc_bench.collectors.running.pilot``).
 
@@ -147,6 +216,7 @@ class Manifest(BaseModel):
         reward: the user's function that labelled it, for a task that is none of the domain's own.
         pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
         imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
+        mixture: of which episodes of which datasets a mixture is, or the base of a relabelled one; None if it is none.
         diagnostics: the last line of the collection's diagnostics and the method's own summary; a relabelled dataset has its base's.
         versions: of Python and the packages that matter.
         commit: of this project's code, None when it is not run from a checkout.
@@ -179,6 +249,7 @@ class Manifest(BaseModel):
     reward: RewardFunction | None = None
     pilot: Pilot | None = None
     imported: Import | None = None
+    mixture: Mixture | None = None
     diagnostics: dict[str, Any] = {}
     versions: dict[str, str]
     commit: str | None = None
@@ -190,18 +261,34 @@ class Manifest(BaseModel):
 
     @property
     def label(self) -> str:
-        """The method, with its source where this project did not collect it: ``"proto (ExORL)"``."""
+        """The method, with its source where this project did not collect it, or with its parts: ``"mixture (cudc, proto (ExORL))"``."""
+        if self.mixture is not None:
+            return mixture_label(self.method, self.mixture.parts)
         return self.method if self.imported is None else f"{self.method} ({self.imported.source})"
 
     @property
-    def has_episode_seeds(self) -> bool:
-        """Whether each episode's seed is known and stored, so that resetting with it gives the episode's first observation."""
-        return self.imported is None
+    def was_collected(self) -> bool:
+        """Whether a collector of this project made it, or its base, in one run: it was neither imported nor mixed."""
+        return self.imported is None and self.mixture is None
+
+    @property
+    def holds_others_data(self) -> bool:
+        """Whether any of it was not collected by this project."""
+        return self.imported is not None or (self.mixture is not None and any(part.source for part in self.mixture.parts))
+
+    def episode_seed(self, index: int) -> int | None:
+        """The seed that an episode's environment was reset with; None where that is not known, of what was imported."""
+        if self.mixture is not None:
+            part, number = self.mixture.origin(index)
+            return part.episode_seed(number)
+        return None if self.imported is not None else episode_seed(self.seed, "environment", index)
 
     def describe(self) -> str:
         """What is there, in a few words, for messages: method, profile or source, seed, steps."""
         if self.imported is not None:
             return f"{self.method} imported from {self.imported.source}, seed {self.seed}, {self.steps:,} steps"
+        if self.mixture is not None:
+            return f"{self.label}, profile {self.profile}, seed {self.seed}, {self.steps:,} steps"
         changed = " with " + ", ".join(f"{k}={v}" for k, v in sorted(self.overrides.items())) if self.overrides else ""
         return f"{self.method}, profile {self.profile}{changed}, seed {self.seed}, {self.steps:,} steps"
 

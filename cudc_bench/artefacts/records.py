@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from cudc_bench.artefacts.ids import parse_id
-from cudc_bench.artefacts.manifest import RewardFunction, Source
+from cudc_bench.artefacts.manifest import PartOrigin, RewardFunction, Source, mixture_label
 from cudc_bench.errors import RunError
 from cudc_bench.files import LeftOut, read_limited, unwritable, walk, write_atomically
 from cudc_bench.settings.evaluate_config import BEFORE
@@ -81,6 +81,7 @@ class DatasetReference(Strict):
         source: who collected it, such as ``"ExORL"``, if it was imported; None if this project's own collector did.
         used: how many of its first transitions were trained on, if not all.
         collection: with what it was collected; a file without it is of an imported dataset, or from before this was written down.
+        parts: the datasets that a mixture was made of; a file without them is of no mixture.
     """
 
     id: str
@@ -96,10 +97,21 @@ class DatasetReference(Strict):
     source: Source | None = None
     used: Annotated[int, Field(ge=1)] | None = None
     collection: Collection | None = None
+    parts: Annotated[list[PartOrigin], Field(max_length=MOST_SETTINGS)] = []
 
     @model_serializer(mode="wrap")
     def _without_collection(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without(serialise(self), "collection")
+        return _without(serialise(self), "collection", "parts")
+
+    @property
+    def label(self) -> str:
+        """The method, with the parts of a mixture: ``"mixture (cudc, rnd)"``."""
+        return mixture_label(self.method, self.parts) if self.parts else self.method
+
+    @property
+    def goes_with_every_profile(self) -> bool:
+        """Whether none of it was collected here, at a profile."""
+        return self.source is not None or (bool(self.parts) and all(part.source for part in self.parts))
 
 
 class LabelSource(Strict):
@@ -311,7 +323,7 @@ class Record(Strict):
 
     def _group(self, used: int | None, labels: int | None = None) -> str:
         changes = []
-        if self.dataset.profile != self.profile and self.dataset.source is None:
+        if self.dataset.profile != self.profile and not self.dataset.goes_with_every_profile:
             changes.append(f"collected at {self.dataset.profile}")
         if self.dataset.reward is not None:
             # A function that was changed on the way is another task.

@@ -100,6 +100,7 @@ class ListedDataset(Document):
         bytes: of its own files on the disk.
         base: the dataset that it is labelled from; null if it is task-agnostic.
         linked: whether it is of use only beside its base.
+        parts: the datasets that a mixture, or its base, was made of; empty for others.
         fingerprint: of its arrays.
         created: UTC time, ISO 8601.
         notes: what to know of it; empty for most.
@@ -117,6 +118,7 @@ class ListedDataset(Document):
     bytes: int
     base: str | None
     linked: bool
+    parts: list[str] = []
     fingerprint: str
     created: str
     notes: str

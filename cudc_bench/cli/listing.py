@@ -247,6 +247,7 @@ def _datasets(filters: _Filters, left_out: LeftOut) -> list[ListedDataset]:
             source=None if manifest.imported is None else manifest.imported.source, profile=manifest.profile, seed=manifest.seed,
             steps=manifest.steps, episodes=manifest.episodes, bytes=bytes_below(dataset_path(one)),
             base=None if manifest.base is None else manifest.base.id, linked=manifest.base is not None and manifest.base.linked,
+            parts=[] if manifest.mixture is None else [part.id for part in manifest.mixture.parts],
             fingerprint=manifest.fingerprint, created=manifest.created, notes=k_schedule(manifest.diagnostics).note,
         )
         for one, manifest in manifests.items() if filters.fits(manifest)

@@ -61,7 +61,7 @@ def render_card(manifest: Manifest, dataset_id: str, description: str, rewards: 
         neighbour=NEIGHBOUR,
         saturated=CARD.saturated,
         observations=[(index, [_number(value) for value in row]) for index, row in enumerate(zip(*columns, strict=True))],
-        license="mit" if manifest.imported is None else "unknown",
+        license="unknown" if manifest.holds_others_data else "mit",
         size=Markup(next((name for limit, name in _SIZES if manifest.steps < limit), "100M<n<1B")),
         versions=", ".join(f"{name} {version}" for name, version in manifest.versions.items()),
         caveats=_caveats(manifest),
@@ -80,6 +80,7 @@ def facts_of(manifest: Manifest) -> list[tuple[str, str]]:
         "profile": manifest.profile,
         "settings that differ": ", ".join(f"{name}={_value(value)}" for name, value in sorted(manifest.overrides.items())),
         "threshold": _threshold(manifest),
+        "mixed of": _parts(manifest),
         "made from": "" if manifest.base is None else f"{manifest.base.id} ({'linked' if manifest.base.linked else 'copied'})",
         "made": f"{manifest.created}, in {manifest.seconds:,.0f} seconds, on {manifest.machine.get('processor', 'an unknown processor')}",
         "commit": f"{manifest.commit or ''}{' with local changes' if manifest.dirty else ''}",
@@ -107,6 +108,8 @@ def _descriptors(manifest: Manifest, domain: Domain) -> dict[str, Any] | None:
 def _origin(manifest: Manifest) -> str:
     if manifest.imported is not None:
         made = f"Imported from {manifest.imported.files:,} episode files of {manifest.imported.source}, not collected by cudc-bench."
+    elif manifest.mixture is not None:
+        made = f"Mixed by cudc-bench in equal parts, of whole episodes of datasets in {domain_title(manifest.domain)} without rewards."
     else:
         made = f"Collected by {manifest.method} in {domain_title(manifest.domain)}, without rewards, with cudc-bench."
     if manifest.base is None:
@@ -124,6 +127,9 @@ def _caveats(manifest: Manifest) -> list[str]:
     if manifest.imported is not None:
         found.append(f"It is {manifest.imported.source}'s data; their terms apply.")
         found.append("The seeds of its episodes are not known: they cannot be repeated from their resets, only step by step.")
+    elif manifest.mixture is not None and manifest.holds_others_data:
+        sources = ", ".join(sorted({part.source for part in manifest.mixture.parts if part.source is not None}))
+        found.append(f"It holds data of {sources}, whose terms apply; the seeds of these episodes are not known.")
     elif manifest.profile != "paper":
         found.append(f"It was collected at profile {manifest.profile}, which is smaller than the paper's setting.")
     schedule = k_schedule(manifest.diagnostics)
@@ -134,8 +140,9 @@ def _caveats(manifest: Manifest) -> list[str]:
             f"{ends:,} steps of its first growth{f' ({schedule})' if schedule.growth else ''}. A schedule this early says "
             "more about the thresholds than about what was reachable."
         )
+    one = "one draw from one seed of each of its parts" if manifest.mixture is not None else "one seed of one method"
     found += [
-        "It is one seed of one method; differences between methods need several seeds.",
+        f"It is {one}; differences between methods need several seeds.",
         "The numbers on coverage compare datasets of one domain, not of different ones, and say nothing about any task.",
         "Another processor or version of MuJoCo rounds differently, which a simulation amplifies: there, its episodes repeat step by step "
         "but not over their whole length.",
@@ -146,6 +153,14 @@ def _caveats(manifest: Manifest) -> list[str]:
 def _threshold(manifest: Manifest) -> str:
     pilot = manifest.pilot
     return "" if pilot is None else f"{pilot.name} = {pilot.value:.6g}, measured by a pilot: {pilot.command}"
+
+
+def _parts(manifest: Manifest) -> str:
+    if manifest.mixture is None:
+        return ""
+    parts = ", ".join(f"{part.id} ({part.label}, seed {part.seed})" for part in manifest.mixture.parts)
+    left_out = f"; without infos/{', infos/'.join(manifest.mixture.ignored)}" if manifest.mixture.ignored else ""
+    return f"{parts}: episodes of each: {len(manifest.mixture.parts[0].episodes):,}{left_out}"
 
 
 def _value(value: Any) -> str:

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.commands import parse_command, settings_that_differ
-from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.commands import Parsed, parse_command, settings_that_differ
+from cudc_bench.artefacts.manifest import Manifest, Mixture
 from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.data.mixing import share_of
 from cudc_bench.envs.domains import Domain
 from cudc_bench.errors import CudcBenchError, UsageError
 from cudc_bench.settings.profiles import PROFILES
@@ -36,7 +37,7 @@ def contradictions(manifest: Manifest, domain: Domain) -> Iterator[str]:
     for name, value in manifest.overrides.items():
         if name not in manifest.hyperparameters or manifest.hyperparameters[name] != value:
             yield f"its overrides say {name}={value!r:.60}, and its hyperparameters do not"
-    if manifest.imported is None:
+    if manifest.was_collected:
         for name, (then, now) in (_changed(manifest) or {}).items():
             if name in _OF_PROFILES:
                 yield f"it was collected with {name}={then} where profile {manifest.profile} has {now}, and its overrides do not say so"
@@ -49,6 +50,22 @@ def from_base(manifest: Manifest, base: Manifest) -> Iterator[str]:
     """The names of what a relabelled dataset should have from its base, and has not."""
     own, there = manifest.model_dump(exclude=set(OWN)), base.model_dump(exclude=set(OWN))
     return (name for name in own if own[name] != there[name])
+
+
+def odd_parts(manifest: Manifest, domain: Domain) -> str | None:
+    """Why a mixture's parts cannot be what it says, as a part of a sentence; None if they can."""
+    assert manifest.mixture is not None
+    parts, length = manifest.mixture.parts, domain.episode_length
+    counts, steps = [len(part.episodes) for part in parts], manifest.hyperparameters.get("steps")
+    if len(set(counts)) > 1 or any(len(set(part.episodes)) < len(part.episodes) for part in parts):
+        return f"its parts are not equally many different episodes, but {', '.join(map(str, counts))}"
+    if sum(counts) != manifest.episodes or sum(counts) * length != manifest.steps:
+        return f"its parts have {sum(counts):,} episodes of {length:,} steps, and it {manifest.episodes:,} and {manifest.steps:,} steps"
+    if len({part.fingerprint for part in parts}) < len(parts):
+        return "one of its parts is there twice"
+    if not isinstance(steps, int) or share_of(steps, len(parts), domain) != counts[0]:
+        return f"{counts[0]:,} episodes of each of its parts are not what steps={steps!r:.40} asks for"
+    return None
 
 
 def odd_environment(there: Any, expected: dict[str, Any]) -> tuple[str, Any, Any] | None:
@@ -73,7 +90,7 @@ def odd_environment(there: Any, expected: dict[str, Any]) -> tuple[str, Any, Any
 
 def remarks(manifest: Manifest) -> Iterator[str]:
     """What is no contradiction but should be known, as parts of sentences."""
-    if manifest.imported is not None:
+    if not manifest.was_collected:
         return
     changed = _changed(manifest)
     if changed is None:
@@ -105,6 +122,11 @@ def _about_reward(manifest: Manifest, domain: Domain) -> Iterator[str]:
         yield f"its task is {manifest.task!r}, and the function {manifest.reward.reference} makes the rewards of '{name}'"
 
 
+def _about_parts(mixture: Mixture, command: Parsed) -> Iterator[str]:
+    if command.names("dataset_ids") != (parts := tuple(part.id for part in mixture.parts)):
+        yield f"its command does not name its parts {', '.join(parts):.200} in their order"
+
+
 def _about_command(manifest: Manifest) -> Iterator[str]:
     try:
         command = parse_command(manifest.command)
@@ -120,6 +142,9 @@ def _about_command(manifest: Manifest) -> Iterator[str]:
         expected |= {"tasks": task} if reward is None else {"reward": reward.reference}
     elif manifest.imported is not None:
         kind, expected = "import-", {}
+    elif manifest.mixture is not None:
+        yield from _about_parts(manifest.mixture, command)
+        kind, expected = "mix", {"seed": manifest.seed, "steps": manifest.hyperparameters.get("steps")}
     else:
         kind = "collect"
         expected = {"method": manifest.method, "domain": manifest.domain, "seeds": manifest.seed, "profile": manifest.profile}

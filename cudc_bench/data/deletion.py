@@ -111,12 +111,12 @@ def finish_removal(dataset_id: DatasetId) -> None:
 
 
 def _labelled_from(bases: Sequence[DatasetId]) -> tuple[dict[DatasetId, list[DatasetId]], list[DatasetId]]:
-    """The labelled datasets that link to each of some bases, and those that are labelled copies of one."""
+    """The labelled datasets that link to each of some bases, and those that hold copies of one: labelled ones and mixtures."""
     linked: dict[DatasetId, list[DatasetId]] = {base: [] for base in bases}
     copies: list[DatasetId] = []
     for one in stored_ids():
         try:
-            there = read_manifest(one).base
+            manifest = read_manifest(one)
         except UsageError:
             continue  # somebody else's
         except RunError:
@@ -125,9 +125,12 @@ def _labelled_from(bases: Sequence[DatasetId]) -> tuple[dict[DatasetId, list[Dat
                 if _is_labelled(one, base):
                     linked[base].append(one)
             continue
+        there, parts = manifest.base, () if manifest.mixture is None or manifest.base is not None else manifest.mixture.parts
         for base in bases:
             if there is not None and there.id == str(base):
                 (linked[base] if there.linked else copies).append(one)
+        if any(part.id == str(base) for part in parts for base in bases):
+            copies.append(one)
     return linked, copies
 
 

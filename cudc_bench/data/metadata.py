@@ -60,4 +60,6 @@ def minari_metadata(data: Path, manifest: Manifest, dataset_id: str, description
     }
     if manifest.base is not None and manifest.base.linked:
         metadata["combined_datasets"] = [manifest.base.id]
+    elif manifest.mixture is not None:
+        metadata["combined_datasets"] = [part.id for part in manifest.mixture.parts]
     return metadata

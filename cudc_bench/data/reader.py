@@ -6,7 +6,7 @@ Minari decodes every episode into objects and cannot sample transitions; trainin
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,31 +173,33 @@ def iterate_episodes(path: Path, names: tuple[str, ...], episodes: int, base: Pa
         RunError: it is damaged.
     """
     try:
-        yield from _episodes(path, names, episodes, base)
+        yield from _episodes(path, names, range(episodes), base)
     except READ_ERRORS as error:
         raise RunError(f"{path} cannot be read: {_words(error)}.") from None
 
 
-def _episodes(path: Path, names: tuple[str, ...], episodes: int, base: Path | None) -> Iterator[dict[str, Array]]:
+def _episodes(path: Path, names: tuple[str, ...], episodes: Sequence[int], base: Path | None) -> Iterator[dict[str, Array]]:
     check_regular(path)
     with h5py.File(path, "r") as file:
-        check_links(file, names, range(episodes), base)
-        for index in range(episodes):
+        check_links(file, names, episodes, base)
+        for index in episodes:
             group = file[f"episode_{index}"]
             yield {name: read_field(group, name) for name in names}
 
 
 def read_episodes(
-    dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None, verify: bool = False, domain: Domain | None = None
-) -> Iterator[dict[str, Array]]:
+    dataset_id: DatasetId | str, names: tuple[str, ...], root: Path | None = None, verify: bool = False, domain: Domain | None = None,
+    episodes: Sequence[int] | None = None,
+) -> Iterator[dict[str, Array]]:  # fmt: skip
     """Some fields of a dataset, one episode in memory after the other.
 
     Args:
         dataset_id: which dataset.
         names: of the fields.
         root: Minari's root unless given.
-        verify: hash them, and compare with the manifest after the last episode.
+        verify: hash them, and compare with the manifest after the last episode; of all episodes only.
         domain: the dataset's, if it is at hand, to check types and shapes by; the benchmark's own are always.
+        episodes: their numbers, in the order in which they are read; all unless given.
 
     Raises:
         UsageError: no such dataset, or not one of ours.
@@ -209,7 +211,8 @@ def read_episodes(
     path = dataset_path(checked, root) / "data" / MAIN_FILE
     hasher = FieldHasher()
     try:
-        for index, episode in enumerate(_episodes(path, names, manifest.episodes, base_file(manifest, root))):
+        numbers = range(manifest.episodes) if episodes is None else episodes
+        for index, episode in zip(numbers, _episodes(path, names, numbers, base_file(manifest, root)), strict=True):
             steps = {len(array) - has_reset_row(name) for name, array in episode.items()}
             if len(steps) != 1:
                 raise ValueError(f"episode_{index} has fields of different lengths")

@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
-from cudc_bench.artefacts.manifest import FieldHasher, Manifest, exists, fingerprint, read_manifest, read_metadata
+from cudc_bench.artefacts.manifest import FieldHasher, Manifest, Mixture, exists, fingerprint, read_manifest, read_metadata
 from cudc_bench.artefacts.provenance import same_arithmetic, versions
-from cudc_bench.data.claims import contradictions, from_base, odd_environment, remarks
+from cudc_bench.data.claims import contradictions, from_base, odd_environment, odd_parts, remarks
 from cudc_bench.data.descriptors import Visits
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.metadata import minari_metadata
-from cudc_bench.data.reader import check_base, read_field
+from cudc_bench.data.mixing import draw_episodes, whole_episodes
+from cudc_bench.data.reader import check_base, read_episodes, read_field
 from cudc_bench.data.storage import LINKED, READ_ERRORS, behind_link, check_links, odd_values, open_field, row_kinds
 from cudc_bench.data.writer import episode_attributes
 from cudc_bench.envs import Domain, check_domain, check_tasks
@@ -39,7 +40,6 @@ from cudc_bench.errors import CudcBenchError, RunError, UsageError
 from cudc_bench.execution.progress import Advance, bars
 from cudc_bench.files import check_regular
 from cudc_bench.settings.config import config_hash
-from cudc_bench.settings.seeding import episode_seed
 
 Array = NDArray[Any]
 SAMPLE = 20_000
@@ -146,8 +146,10 @@ class _Verifier:
                 checks.append(Check("file", self._check_file(file)))
                 with bars([(f"{self._id}: reading", manifest.episodes)], "episodes") as (advance,):
                     checks += self._check_arrays(file, advance)
-            if manifest.has_episode_seeds:
+            if any(seed is not None for seed in self._seeds):
                 checks.append(Check("seeds", self._check_seeds(file)))
+            if manifest.mixture is not None:
+                checks.append(Check("mixture", self._check_mixture(file, manifest.mixture)))
             checks.append(Check("rewards", self._check_rewards(file)))
             checks.append(Check("simulation", self._check_simulation(file)))
             # Last, since it cannot say where.
@@ -164,7 +166,9 @@ class _Verifier:
     def _name_the_rest(self) -> None:
         """What no computation can show of any dataset, after what the checks found."""
         manifest = self._manifest
-        if manifest.imported is None:
+        if manifest.mixture is not None:
+            self._unproven.append(f"that {', '.join(sorted({part.label for part in manifest.mixture.parts}))} chose the actions")
+        elif manifest.imported is None:
             self._unproven.append(f"that {manifest.method} with these hyperparameters chose the actions")
             measured = "the diagnostics but for the coverage" if _COVERED in self._proven else "the diagnostics"
             self._unproven.append(f"{measured}, and the final state" if manifest.final_state else measured)
@@ -184,6 +188,8 @@ class _Verifier:
 
     @property
     def _remedy(self) -> str:
+        if self._manifest.mixture is not None and self._manifest.base is None:
+            return "mix its parts again with --overwrite"
         if self._manifest.imported is None or self._manifest.base is not None:
             return _RESTORE
         return "import its files again with --overwrite, and if that ends the same, ask who made them for whole ones"
@@ -216,10 +222,12 @@ class _Verifier:
             fail("the hyperparameters do not fit their hash")
         if fingerprint(manifest.fields) != manifest.fingerprint:
             fail("the fingerprint is not that of the fields' hashes")
-        if manifest.imported is None and manifest.hyperparameters.get("steps") != manifest.steps:
+        if manifest.was_collected and manifest.hyperparameters.get("steps") != manifest.steps:
             fail(f"it has {manifest.steps:,} steps, but was collected with steps={manifest.hyperparameters.get('steps')!r:.40}")
         if not 1 <= manifest.episodes <= manifest.steps:
             fail(f"{manifest.steps:,} steps cannot form {manifest.episodes:,} episodes")
+        if manifest.mixture is not None and (what := odd_parts(manifest, facts)) is not None:
+            fail(what)
         missing = {"observations", "actions", "rewards", "terminations", "truncations"} - manifest.fields.keys()
         if missing:
             fail(f"it names no hash of {', '.join(sorted(missing))}")
@@ -329,12 +337,12 @@ class _Verifier:
         length = int(group.attrs["total_steps"])
         last = index == manifest.episodes - 1
         # Files of other origin hold episodes of any length up to the limit.
-        shortest = 1 if last or manifest.imported is not None else facts.episode_length
+        shortest = 1 if (last and manifest.mixture is None) or manifest.imported is not None else facts.episode_length
         if not shortest <= length <= facts.episode_length:
             fail(f"it has {length:,} steps; all but the last one have {facts.episode_length:,}")
         if int(group.attrs["id"]) != index:
             fail(f"it is stored as episode {int(group.attrs['id'])}")
-        ours = episode_attributes(index, 0 if manifest.has_episode_seeds else None, np.zeros(1))
+        ours = episode_attributes(index, self._seeds[index], np.zeros(1))
         self._added |= {str(key) for key in group.attrs} - ours.keys()
         for key in ours:
             if np.ndim(group.attrs[key]) or np.asarray(group.attrs[key]).dtype.kind not in "iuf":
@@ -396,11 +404,52 @@ class _Verifier:
             self._fail(check, what, index, int(np.flatnonzero(~rows)[0]))
 
     def _check_seeds(self, file: h5py.File) -> str:
-        for index in range(self._manifest.episodes):
-            found, expected = int(file[f"episode_{index}"].attrs["seed"]), episode_seed(self._manifest.seed, "environment", index)
+        manifest = self._manifest
+        known = {index: seed for index, seed in enumerate(self._seeds) if seed is not None}
+        for index, expected in known.items():
+            found = int(file[f"episode_{index}"].attrs["seed"])
             if found != expected:
-                self._fail("seeds", f"the stored seed is {found}, but seed {self._manifest.seed} of the manifest gives {expected}", index)
-        return f"{self._manifest.episodes:,}, each that of seed {self._manifest.seed} for its episode"
+                whose = f"seed {manifest.seed} of the manifest" if manifest.mixture is None else "the seed of its part"
+                self._fail("seeds", f"the stored seed is {found}, but {whose} gives {expected}", index)
+        whose = f"of seed {manifest.seed} for its episode" if manifest.mixture is None else "of its part's seed for its episode there"
+        return f"{len(known):,}, each that {whose}"
+
+    @cached_property
+    def _seeds(self) -> list[int | None]:
+        """With which each episode's environment was reset, where that is known."""
+        return [self._manifest.episode_seed(index) for index in range(self._manifest.episodes)]
+
+    # ------------------------------------------------------------------------------------------------------------------------ mixture
+
+    def _check_mixture(self, file: h5py.File, mixture: Mixture) -> str:
+        """Each part that is here: that the seed draws these episodes of it, and that they equal its own."""
+        fields, facts = tuple(name for name in self._manifest.fields if name != "rewards"), check_domain(self._manifest.domain)
+        compared, absent = 0, []
+        for place, part in enumerate(mixture.parts):
+            try:
+                here = read_manifest(part.id, self._root).fingerprint == part.fingerprint
+            except CudcBenchError:
+                here = False
+            if not here:
+                absent.append(part.id)
+                continue
+            whole = whole_episodes(part.id, facts, self._root)
+            if part.episodes != draw_episodes(whole, len(part.episodes), self._manifest.seed, part.fingerprint):
+                self._fail("mixture", f"seed {self._manifest.seed} draws other episodes of '{part.id}'")
+            for number, theirs in enumerate(read_episodes(part.id, fields, self._root, episodes=part.episodes)):
+                index = number * len(mixture.parts) + place
+                for name, array in theirs.items():
+                    ours = read_field(file[f"episode_{index}"], name)
+                    what = f"{name} are not those of episode {part.episodes[number]} of '{part.id}'"
+                    if ours.shape != array.shape or ours.dtype != array.dtype:
+                        self._fail("mixture", what, index)
+                    self._check_each(ours.view(f"u{ours.itemsize}") == array.view(f"u{array.itemsize}"), "mixture", what, index)
+            compared += len(part.episodes)
+        if compared:
+            self._proven.append(f"{compared:,} of {self._manifest.episodes:,} episodes are those that its seed draws of its parts")
+        if absent:
+            self._unproven.append(f"that its other episodes are those of {', '.join(absent)}: not here with the fingerprints that it names")
+        return f"{compared:,} of {self._manifest.episodes:,} episodes equal those of the parts that are here, as its seed draws them"
 
     # ------------------------------------------------------------------------------------------------------------------------ rewards
 
@@ -500,6 +549,13 @@ class _Verifier:
         base = read_manifest(manifest.base.id, self._root)
         return base.fingerprint == manifest.base.fingerprint and same_arithmetic(base.versions, base.machine)
 
+    def _is_exact(self, index: int) -> bool:
+        """The same of one episode: those of a mixture were made with what its part was."""
+        if self._manifest.mixture is None:
+            return self._exact
+        part, _ = self._manifest.mixture.origin(index)
+        return part.source is None and same_arithmetic(part.collected.versions, part.collected.machine)
+
     def _check_simulation(self, file: h5py.File) -> str:
         manifest = self._manifest
         if "infos/physics" not in manifest.fields:
@@ -511,13 +567,13 @@ class _Verifier:
         with bars([(f"{self._id}: simulating", len(chosen))], "episodes") as (advance,):
             for index in chosen:
                 group = file[f"episode_{index}"]
-                seed = int(group.attrs["seed"]) if manifest.has_episode_seeds else None
+                seed = None if self._seeds[index] is None else int(group.attrs["seed"])
                 actions = read_field(group, "actions")
                 arrays = read_field(group, "infos/physics"), actions, read_field(group, "observations")
-                verdict = playback.test(seed, *arrays, exact=self._exact)
+                verdict = playback.test(seed, *arrays, exact=self._is_exact(index))
                 if verdict.fault is not None:
                     why = ", bit for bit as it must be here: by its manifest this processor and these versions made it"
-                    self._fail("simulation", verdict.fault.what + (why if self._exact else ""), index, verdict.fault.row)
+                    self._fail("simulation", verdict.fault.what + (why if self._is_exact(index) else ""), index, verdict.fault.row)
                 exact, steps = exact + (verdict.inexact is None), steps + len(actions)
                 if verdict.inexact is not None:
                     slips.append((index, verdict.inexact))
@@ -553,19 +609,23 @@ class _Verifier:
             text += (
                 f" but for {beyond:,} of {steps:,} steps, at most {largest:.2g}: contacts, or another MuJoCo than {versions()['mujoco']}"
             )
-        why = "rounding differs here" if self._manifest.has_episode_seeds else "their seeds are not known"
+        why = "their seeds are not known" if self._unseeded else "rounding differs here"
         return f"{text} ({why}); errors add up to {worst:.2g} in an episode, of {facts.drift_tolerance:g} allowed"
+
+    @property
+    def _unseeded(self) -> bool:
+        return None in self._seeds
 
     def _conclude(self, exact: int, followed: int) -> None:
         """What the simulation showed, in a few words."""
-        episodes, seeded = self._manifest.episodes, self._manifest.has_episode_seeds
+        episodes = self._manifest.episodes
         if exact:
             self._proven.append(f"{exact:,} of {episodes:,} episodes are, bit for bit, what their seeds and actions lead to")
         if followed:
             self._proven.append(f"{followed:,} of {episodes:,} episodes are, up to rounding, what their actions lead to")
             made = self._manifest.collected or self._manifest
             where = f"made on {made.machine.get('processor', 'an unknown processor')}, MuJoCo {made.versions.get('mujoco', 'unknown')}"
-            what = f"the last digits of states ({where})" if seeded else "how its episodes began, and the last digits of states"
+            what = "how its episodes began, and the last digits of states" if self._unseeded else f"the last digits of states ({where})"
             self._unproven.append(what)
         if (left := episodes - exact - followed) > 0:
             self._unproven.append(f"{left:,} of {episodes:,} episodes, which were not simulated (--all)")

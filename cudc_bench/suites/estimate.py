@@ -108,7 +108,7 @@ def measured_here(profile: str, device: str, output: Path) -> Rates:
     for one in stored_ids():
         with suppress(UsageError, RunError):
             manifest = read_manifest(one)
-            if manifest.task is None and manifest.imported is None and manifest.profile == profile and is_here(manifest.machine):
+            if manifest.task is None and manifest.was_collected and manifest.profile == profile and is_here(manifest.machine):
                 rates.add("collect", manifest.domain, manifest.method, manifest.seconds, manifest.steps)
     for path in record_files(output / profile)[:_MOST_RECORDS]:
         with suppress(RunError):

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.again import commands_from_nothing
+from cudc_bench.artefacts.again import commands_from_nothing, mixture_steps
 from cudc_bench.artefacts.ids import default_id, rooted_at
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.provenance import commit, is_own_command, machine, source, versions
-from cudc_bench.artefacts.records import Record, Reran, read_record, record_files, write_record
+from cudc_bench.artefacts.records import DatasetReference, Record, Reran, read_record, record_files, write_record
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.locks import locked
@@ -166,6 +166,11 @@ def _case(path: Path, record: Record, folder: Path, collect: bool, reward: str |
             f"{path}: its dataset '{data.id}' was imported from {data.source}, and no command can collect it; have it here"
             + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
         )
+    if foreign := [part.id for part in data.parts if part.source is not None]:
+        raise UsageError(
+            f"{path}: its dataset '{data.id}' was mixed of {', '.join(foreign)}, which no command can collect, and others; have it here"
+            + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
+        )
     if record.zero_shot is not None and record.zero_shot.source is not None:
         raise UsageError(f"{path}: its labels are of another dataset; have the one that it was trained on here, and leave out --collect.")
     base = default_id(data.domain, data.method, data.seed, data.profile)
@@ -183,10 +188,23 @@ def _is_here(record: Record) -> bool:
 def _collection(record: Record) -> dict[str, Any]:
     """What decides a collection but its seed."""
     data, known = record.dataset, record.dataset.collection
+    if data.parts:
+        return {"domain": data.domain, "steps": mixture_steps(data), "parts": [part.model_dump() for part in data.parts]}
     return {
         "method": data.method, "domain": data.domain, "profile": data.profile,
         "settings": data.overrides if known is None else known.hyperparameters, **_how({} if known is None else known.machine),
     }  # fmt: skip
+
+
+def _collect_parts(data: DatasetReference, workers: int | None) -> list[str]:
+    """The parts of a mixture, collected again under the ids that they had."""
+    found = []
+    for part in data.parts:
+        found += plugins.load("stages", "collect")(
+            part.method, data.domain, [part.seed], profile=part.profile, settings=part.hyperparameters, dataset_id=part.id,
+            workers=workers, **_how(part.collected.machine),
+        )  # fmt: skip
+    return found
 
 
 def _how(made_on: Mapping[str, Any]) -> dict[str, str]:
@@ -208,7 +226,9 @@ def _begin(folder: Path, cases: Sequence[_Case]) -> None:
     """Remove what was made there unless it was by this very code: it would stand for a run that never was."""
     packages: dict[str, str] = {}
     for case in cases:
-        packages |= plugins.package("collectors", case.record.dataset.method) if case.collects else {}
+        data = case.record.dataset
+        for method in [part.method for part in data.parts] or [data.method] if case.collects else ():
+            packages |= plugins.package("collectors", method)
         packages |= plugins.package("evaluators", case.record.algorithm)
     made_by = json.dumps({"versions": versions() | packages, "source": source()}, sort_keys=True)
     stamp = folder / _STAMP
@@ -240,7 +260,11 @@ def _collect(cases: Sequence[_Case], workers: int | None) -> None:
         with rooted_at(root):
             wanted = _collection(some[0].record)
             seeds = sorted({case.record.dataset.seed for case in some})
-            bases = plugins.load("stages", "collect")(seeds=seeds, workers=workers, **wanted)
+            if some[0].record.dataset.parts:
+                ids = _collect_parts(some[0].record.dataset, workers)
+                bases = [plugins.load("stages", "mix")(ids, wanted["steps"], seed) for seed in seeds]
+            else:
+                bases = plugins.load("stages", "collect")(seeds=seeds, workers=workers, **wanted)
             for seed, base in zip(seeds, bases, strict=True):
                 mine = [case.record.dataset for case in some if case.record.dataset.seed == seed and case.record.zero_shot is None]
                 if tasks := sorted({data.task for data in mine if data.reward is None}):
@@ -341,6 +365,7 @@ def _causes(record: Record, new: Record | None) -> Iterator[str]:
     parts = [("it was trained", record.versions, record.machine)]
     if known is not None:
         parts.append(("its dataset was collected", known.versions, known.machine))
+    parts += [(f"{part.id} was collected", part.collected.versions, part.collected.machine) for part in record.dataset.parts]
     threads = record.machine.get("threads", 1) if new is None else new.machine.get("threads", 1)
     here = machine("cpu", threads)
     for what, packages, made_on in parts:
@@ -354,7 +379,7 @@ def _causes(record: Record, new: Record | None) -> Iterator[str]:
         for name in ("threads", "engine"):
             if record.machine.get(name) != new.machine.get(name) and name in record.machine:
                 yield f"{name} {record.machine[name]} (here {new.machine.get(name)})"
-    if known is None and new is None and record.dataset.source is None:
+    if known is None and new is None and record.dataset.source is None and not record.dataset.parts:
         yield "it does not say with which hyperparameters its dataset was collected, and today's were taken"
     if (head := commit()[0]) is not None and record.commit is not None and head != record.commit:
         yield f"the code was {record.commit[:7]} (here {head[:7]})"

@@ -13,7 +13,7 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import default_id, parse_id
-from cudc_bench.artefacts.manifest import Manifest, RewardFunction
+from cudc_bench.artefacts.manifest import Manifest, PartOrigin, RewardFunction
 from cudc_bench.artefacts.provenance import command_line, commit, machine, origin, versions
 from cudc_bench.artefacts.records import (
     CHECKPOINTS,
@@ -301,7 +301,7 @@ def record_of(
             id=run.dataset, fingerprint=manifest.fingerprint, domain=manifest.domain, task=str(task), method=manifest.method,
             seed=manifest.seed, steps=manifest.steps, profile=manifest.profile, overrides=manifest.overrides,
             reward=reward, source=None if manifest.imported is None else manifest.imported.source, used=run.used,
-            collection=None if manifest.imported is not None else collection,
+            collection=None if manifest.imported is not None else collection, parts=_parts(manifest),
         ),
         algorithm=plan.algo,
         profile=plan.profile,
@@ -325,12 +325,17 @@ def record_of(
     )  # fmt: skip
 
 
+def _parts(manifest: Manifest) -> list[PartOrigin]:
+    parts = () if manifest.mixture is None else manifest.mixture.parts
+    return [PartOrigin.model_validate(part.model_dump(exclude={"episodes"})) for part in parts]
+
+
 def _command(run: Run, execution: Execution, task: str, reward: RewardFunction | None, question: Question | None) -> str:
     """What makes a run's record again."""
     plan, manifest = run.plan, run.manifest
     options = {"--algo": plan.algo, "--profile": plan.profile} | execution.options
     usual = default_id(manifest.domain, manifest.method, manifest.seed, manifest.profile)
-    if run.dataset == str(usual if question else usual.for_task(task)) and not manifest.overrides and manifest.imported is None:
+    if run.dataset == str(usual if question else usual.for_task(task)) and not manifest.overrides and manifest.was_collected:
         # Written like this, the command also makes the datasets anew where they are missing.
         options |= {"--domain": manifest.domain, "--method": manifest.method, "--seed": str(manifest.seed)}
         if reward is None:

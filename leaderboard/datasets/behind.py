@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from cudc_bench.artefacts.again import base_id, collect_command
+from cudc_bench.artefacts.again import base_id, collect_commands
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import Record, settings_text
@@ -61,8 +61,11 @@ class Dataset:
         """What collects and labels it again, as label and command; nothing where no command could."""
         if self.source is not None or self.id is None:
             return []
-        found = [("Collect it", collect_command(self.records[0].dataset)), ("Label it", f"cudc-bench relabel {self.id}")]
-        return [(label, command) for label, command in found if command is not None and is_own_command(command)]
+        first = self.records[0].dataset
+        what = {"collect": "Collect a part" if first.parts else "Collect it", "mix": "Mix the parts"}
+        found = [(what[command.split()[1]], command) for command in collect_commands(first)]
+        found.append(("Label it", f"cudc-bench relabel {self.id}"))
+        return [(label, command) for label, command in found if is_own_command(command)]
 
 
 @dataclass(frozen=True)

@@ -177,12 +177,15 @@ def series(runs: Sequence[Run], name: str) -> tuple[list[int], list[float], list
 
 
 def _is_other(manifest: Manifest) -> bool:
-    return manifest.task is not None or manifest.imported is not None
+    return manifest.task is not None or not manifest.was_collected
 
 
 def _refuse(one: str, manifest: Manifest) -> None:
     if manifest.imported is not None:
         raise UsageError(f"'{one}' has no diagnostics: it was imported from {manifest.imported.source}, not collected here.")
+    if manifest.mixture is not None:
+        parts = ", ".join(f"'{plain(part.id)}'" for part in manifest.mixture.parts)
+        raise UsageError(f"'{one}' has no diagnostics: it was mixed of {parts}, which have their own.")
     if manifest.task is not None:
         base = "its base" if manifest.base is None else f"its base '{plain(manifest.base.id)}'"
         raise UsageError(f"'{one}' is labelled for {plain(manifest.task)}; the diagnostics are those of {base}.")

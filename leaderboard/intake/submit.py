@@ -235,9 +235,9 @@ def _about_data(record: Record) -> Iterator[str]:
             yield f"a return of {lowest:g} is impossible: no reward of {data.domain} is negative."
     if data.source is not None and (data.profile != IMPORTED_PROFILE or data.overrides):
         yield "an imported dataset was collected at no profile, with no settings."
-    if data.source is None and data.profile != record.profile:
+    if not data.goes_with_every_profile and data.profile != record.profile:
         yield f"its dataset was collected at profile {data.profile}, and it was trained at {record.profile}."
-    if data.source is None and data.domain in DOMAINS and data.profile in PROFILES and "steps" not in data.overrides:
+    if data.source is None and not data.parts and data.domain in DOMAINS and data.profile in PROFILES and "steps" not in data.overrides:
         usual = PROFILES[data.profile].collect.get("steps", PAPER_STEPS)
         if data.steps != usual:
             yield f"its dataset has {data.steps:,} steps where profile {data.profile} has {usual:,}, and its overrides do not say so."
@@ -256,6 +256,8 @@ def _about_size(record: Record) -> Iterator[str]:
             "hyperparameters of its dataset": made.hyperparameters, "versions behind its dataset": made.versions,
             "entries about its dataset's machine": made.machine,
         }  # fmt: skip
+    for part in record.dataset.parts:
+        counts |= {f"hyperparameters of {part.id:.60}": part.hyperparameters, f"overrides of {part.id:.60}": part.overrides}
     for what, values in counts.items():
         if len(values) > _MOST_ENTRIES:
             yield f"it has {len(values):,} {what}, at most {_MOST_ENTRIES:,} are taken."
@@ -303,7 +305,7 @@ def _about_command(record: Record) -> Iterator[str]:
         # The dataset's own are meant then, so that what is left out is not the default.
         expected = {name: value for name, value in expected.items() if name not in _OF_DATA or name in command.given}
         expected["dataset_id"] = data.id
-    elif data.source is not None or data.overrides:
+    elif data.source is not None or data.parts or data.overrides:
         yield "its command names no --dataset-id, and would collect another dataset."
     if (asked := record.zero_shot) is not None:
         expected["labels_from"] = None if asked.source is None else asked.source.id
@@ -386,8 +388,10 @@ def _remarks(record: Record) -> Iterator[str]:
         yield f"the algorithm {record.algorithm} is not installed here; of its settings only those that all algorithms share were checked."
     elif lacking := sorted(usual.keys() - in_full(record.hyperparameters).keys()):
         yield f"{record.algorithm} has hyperparameters here that it lacks: {', '.join(lacking)}."
-    if record.dataset.source is None and record.dataset.method not in plugins.names("collectors"):
-        yield f"the method {record.dataset.method} is not installed here; nobody can collect its dataset again from here."
+    data = record.dataset
+    methods = {part.method for part in data.parts if part.source is None} if data.parts else {data.method} if data.source is None else set()
+    for method in sorted(methods - set(plugins.names("collectors"))):
+        yield f"the method {method} is not installed here; nobody can collect its dataset again from here."
     if record.dataset.reward is not None:
         yield f"its rewards are those of {record.dataset.reward.reference}, which is not part of it."
 
@@ -447,13 +451,13 @@ def _other(found: str | None, own: str) -> str | None:
 def _data(record: Record) -> tuple[Any, ...]:
     """What a dataset is, whatever it is called; its rewards, and so its fingerprint, may be those of another task as well."""
     data = record.dataset
-    return data.domain, data.method, data.seed, data.steps, data.source
+    return data.domain, data.label, data.seed, data.steps, data.source
 
 
 def _described(record: Record) -> str:
     data = record.dataset
     whose = "ours" if record.submission is None else f"by {record.submission.by}"
-    return f"{record.algorithm} on {data.method}, {data.domain} {data.task}, seed {data.seed}, {whose}"
+    return f"{record.algorithm} on {data.label}, {data.domain} {data.task}, seed {data.seed}, {whose}"
 
 
 def _is_there(candidate: _Candidate) -> bool:

@@ -16,21 +16,23 @@ def column(record: Record) -> str:
     """The name under which a record's dataset is compared: its method, and in brackets what keeps it apart from our own.
 
     Of the names of one setting it is always the same one (:func:`~..methods.canonical`). ``"proto (ExORL, 10M)"`` was imported: no profile
-    fixes the size of such a dataset; its steps are in the name, so that datasets of different sizes never share a cell. ``"cudc (by ann)"``
-    was handed in by somebody.
+    fixes the size of such a dataset; its steps are in the name, so that datasets of different sizes never share a cell. ``"mixture (cudc,
+    rnd)"`` has equal parts of both. ``"cudc (by ann)"`` was handed in by somebody.
     """
     dataset, apart = record.dataset, []
     if dataset.source is not None:
         apart += [dataset.source, short(dataset.steps)]
     if record.submission is not None:
         apart.append(f"by {record.submission.by}")
-    name = canonical(dataset.method) if dataset.source is None else dataset.method
+    if dataset.parts and dataset.goes_with_every_profile:
+        apart.append(short(dataset.steps))
+    name = canonical(dataset.label) if dataset.source is None else dataset.label
     return f"{name} ({', '.join(apart)})" if apart else name
 
 
 def is_own(record: Record) -> bool:
     """Whether it was collected and trained here, so that more of its kind can be asked for."""
-    return record.dataset.source is None and record.submission is None
+    return record.dataset.source is None and not record.dataset.parts and record.submission is None
 
 
 @dataclass(frozen=True)

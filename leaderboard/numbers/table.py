@@ -283,12 +283,14 @@ def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
 
 
 def commands(records: Iterable[Record]) -> list[str]:
-    """The commands that make records again from nothing, without repeats: collections, then labels, then trainings."""
-    steps: list[set[str]] = [set(), set(), set()]
+    """The commands that make records again from nothing, without repeats: collections, then mixtures, then labels, then trainings."""
+    steps: dict[str, set[str]] = {"collect": set(), "mix": set(), "relabel": set(), "": set()}
     for record in records:
-        for place, command in enumerate(reversed(commands_from_nothing(record))):
-            steps[place].add(plain(command))
-    return [command for step in reversed(steps) for command in sorted(step)]
+        *before, last = commands_from_nothing(record)
+        steps[""].add(plain(last))
+        for command in before:
+            steps[command.split()[1]].add(plain(command))
+    return [command for step in steps.values() for command in sorted(step)]
 
 
 def seed_scores(records: Iterable[Record], step: int) -> list[float]:

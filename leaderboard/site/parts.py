@@ -303,6 +303,8 @@ def origin(record: Record) -> str:
     """Whose a run's data are."""
     source = record.dataset.source
     data = "collected with cudc-bench" if source is None else f"imported from {source}"
+    if record.dataset.parts:
+        data = f"mixed of {', '.join(part.id for part in record.dataset.parts)}"
     if record.submission is None:
         return data
     if record.submission.reran is None:

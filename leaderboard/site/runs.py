@@ -119,5 +119,7 @@ def _told(record: Record) -> list[tuple[str, Item]]:
 def _again(record: Record) -> tuple[tuple[str, str], ...]:
     """The commands that make a record again from nothing, each with what it does; texts of a page have one line."""
     *before, last = commands_from_nothing(record)
-    named = zip(("Collects its dataset, where it is missing", "Labels it"), before, strict=False)
-    return (*named, ("Makes this record again", last))
+    what = {"collect": "Collects its dataset, where it is missing", "mix": "Mixes its parts", "relabel": "Labels it"}
+    if record.dataset.parts:
+        what["collect"] = "Collects a part of its dataset, where it is missing"
+    return (*((what[command.split()[1]], command) for command in before), ("Makes this record again", last))

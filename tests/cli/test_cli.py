@@ -28,7 +28,7 @@ from ..waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
-    "collect", "pilot", "import-exorl", "import-minari", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
+    "collect", "pilot", "import-exorl", "import-minari", "mix", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
     "submit", "diagnostics", "stats", "compare", "verify", "list", "show", "delete", "doctor",
 )  # fmt: skip
 

@@ -49,6 +49,7 @@ PLACEHOLDERS = {
     "half_cheetah": "examples/domain",
     "my_rewards:hop": "docs/tutorials/own-reward.md",
     "all": "every one",
+    "mixture": "what mix makes of several",
 }
 _CLICK: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
