@@ -45,6 +45,7 @@ __all__ = [
     "load_transitions",
     "make_leaderboard",
     "make_references",
+    "make_tiers",
     "measure_quality",
     "mix",
     "pilot",
@@ -58,8 +59,9 @@ __all__ = [
     "verify",
 ]
 _STAGES = (
-    "collect", "pilot", "import_exorl", "import_minari", "mix", "relabel", "evaluate", "make_references", "ask_policy", "load_policy",
-    "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets", "run_suite", "rerun",
+    "collect", "pilot", "import_exorl", "import_minari", "mix", "relabel", "evaluate", "make_references", "make_tiers", "ask_policy",
+    "load_policy", "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets", "run_suite",
+    "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

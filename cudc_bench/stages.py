@@ -13,11 +13,13 @@ from typing import Any
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, default_id, parse_id
 from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, Manifest, exists, read_manifest
+from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution.progress import echo
 from cudc_bench.settings.profiles import resolve_profile
+from cudc_bench.settings.seeds import format_seeds
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,25 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
             if manifest.was_collected:
                 _check_unchanged(manifest, str(one))
     return ids
+
+
+def check_tiers(method: str, domain: str, tasks: Sequence[str], seeds: Sequence[int], *, profile: str) -> list[DatasetId]:
+    """The ids of datasets of online trainings (see ``cudc_bench.artefacts.tiers``), by seed and task.
+
+    Raises:
+        UsageError: one is not there, since they take a training to make, or no task is asked for.
+    """
+    if not tasks:
+        raise UsageError(f"{method} holds the rewards of the task that it was trained on; leave out --reward.")
+    name = resolve_profile(profile).name
+    ids = {(seed, task): default_id(domain, method, seed, name).for_task(task) for seed in seeds for task in tasks}
+    if missing := [place for place, one in ids.items() if not exists(one)]:
+        options = {"--domain": domain, "--tasks": ",".join(dict.fromkeys(task for _, task in missing))}
+        options |= {"--seeds": format_seeds(sorted({seed for seed, _ in missing})), "--profile": name}
+        raise UsageError(f"there is no dataset '{ids[missing[0]]}'; it comes of an online training: {command_line('tiers', options, {})}.")
+    for one in ids.values():
+        check_profile(read_manifest(one), str(one), name)
+    return list(ids.values())
 
 
 def _default_or_imported(domain: str, method: str, seed: int, profile: str) -> DatasetId:

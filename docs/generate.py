@@ -358,17 +358,10 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "departures-of-evaluators": lambda: departures("evaluators"),
     "json": _documents,
     "manifest": _models(
-        "cudc_bench.artefacts.manifest",
-        "Manifest",
-        "Base",
-        "Collected",
-        "RewardFunction",
-        "Import",
-        "Mixture",
-        "Part",
-        "PartOrigin",
-        "Pilot",
-    ),
+        "cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Mixture",
+        "Part", "PartOrigin", "Pilot",
+    ),  # fmt: skip
+    "tier": _models("cudc_bench.artefacts.tiers", "Tier", "LearningPoint"),
     "record": _models(
         "cudc_bench.artefacts.records",
         "Record",

@@ -158,3 +158,39 @@ def reference(
         bounds = found.bounds
         echo(f"{found.task}: random {bounds.floor:.1f}, untrained {bounds.untrained:.1f}, trained online {bounds.ceiling:.1f}")
     echo(f"next: cudc-bench leaderboard {output}")
+
+
+def tiers(
+    domain: DomainOption = "walker",
+    tasks: TasksOption = "all",
+    seeds: SeedsOption = "1",
+    steps: Annotated[
+        int | None, typer.Option("--steps", min=1, help="Of expert and medium; as many as the training has by default.", show_default=False)
+    ] = None,
+    profile: ProfileOption = "auto",
+    settings: SetOption = None,
+    precision: PrecisionOption = None,
+    overwrite: OverwriteOption = False,
+    device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
+    workers: WorkersOption = None,
+    log: LogOption = None,
+    log_dir: LogDirOption = LOG_DIR,
+    checkpoint_every: CheckpointEveryOption = CHECKPOINT_EVERY,
+    fresh: FreshOption = False,
+) -> None:
+    """Train TD3 online on tasks, and keep the datasets that D4RL has: expert, medium, medium-replay and replay."""
+    from cudc_bench.cli.hints import evaluate_on
+    from cudc_bench.execution.progress import echo
+    from cudc_bench.settings.config import parse_settings
+
+    from .running.tiers import make_tiers
+
+    ids = make_tiers(
+        domain, parse_tasks(tasks), parse_seeds(seeds), steps=steps, profile=profile,
+        settings=with_precision(parse_settings(settings or []), precision), overwrite=overwrite, device=device, engine=engine,
+        workers=workers, log=log, log_dir=log_dir, checkpoint_every=checkpoint_every, fresh=fresh,
+    )  # fmt: skip
+    for one in ids:
+        print(one)
+    echo(f"next: {evaluate_on(ids)}")

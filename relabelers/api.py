@@ -112,6 +112,11 @@ class _Wanted:
         base_id = parse_id(dataset_id)
         base = read_manifest(base_id)
         if base.task is not None:
+            if base.tier is not None:
+                raise UsageError(
+                    f"'{base_id}' is of a training on {base.task}, whose rewards it has, and cannot be relabelled; to have data for every"
+                    " task: cudc-bench collect."
+                )
             if base.base is None:
                 raise UsageError(f"'{base_id}' came with the rewards of {base.task} and has no base to relabel; import it without --task.")
             raise UsageError(f"'{base_id}' is already relabelled for {base.task}; relabel its base of '{base.base.id}'.")

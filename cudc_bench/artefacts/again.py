@@ -6,6 +6,7 @@ from cudc_bench.artefacts.ids import default_id, parse_id
 from cudc_bench.artefacts.manifest import PartOrigin
 from cudc_bench.artefacts.provenance import command_line, is_own_command
 from cudc_bench.artefacts.records import DatasetReference, Record
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.errors import UsageError
 from cudc_bench.settings.profiles import PAPER_STEPS, PROFILES
 
@@ -17,6 +18,8 @@ def base_id(dataset: DatasetReference) -> str | None:
     except UsageError:
         return None
     parts = one.namespace.split("/")
+    if dataset.method in TIERS:
+        return str(one)
     if len(parts) > 1 and parts[-1] == dataset.task:
         return f"{'/'.join(parts[:-1])}/{one.name}-v{one.version}"
     return str(one)
@@ -30,7 +33,12 @@ def collect_commands(dataset: DatasetReference) -> list[str]:
     base = base_id(dataset)
     if dataset.source is not None or base is None or any(part.source for part in dataset.parts):
         return []
-    if not dataset.parts:
+    if dataset.method in TIERS:
+        options = {"--domain": dataset.domain, "--task": dataset.task, "--seed": str(dataset.seed), "--profile": dataset.profile}
+        options |= {"--steps": str(dataset.overrides["data_steps"])} if "data_steps" in dataset.overrides else {}
+        overrides = {name: value for name, value in dataset.overrides.items() if name != "data_steps"}
+        found = [command_line("tiers", options, overrides)]
+    elif not dataset.parts:
         found = [_collect(dataset.domain, dataset, base)]
     else:
         found = [_collect(dataset.domain, part, part.id) for part in dataset.parts]
@@ -66,7 +74,7 @@ def commands_from_nothing(record: Record) -> list[str]:
     data, collecting = record.dataset, collect_commands(record.dataset)
     if "--dataset-id" not in record.command.split() or not collecting:
         return [record.again]
-    if record.zero_shot is not None:
+    if record.zero_shot is not None or data.method in TIERS:
         return [*collecting, record.again]
     options = {"--task": data.task} if data.reward is None else {"--reward": data.reward.reference}
     labelling = command_line(f"relabel {base_id(data)}", options, {})

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root
+from cudc_bench.artefacts.tiers import Tier
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_folder, read_limited
 from cudc_bench.settings.seeding import episode_seed
@@ -217,6 +218,7 @@ class Manifest(BaseModel):
         pilot: where a threshold among the hyperparameters came from, for methods that need one measured.
         imported: where an imported dataset, or the base of a relabelled one, came from; None if this project collected it.
         mixture: of which episodes of which datasets a mixture is, or the base of a relabelled one; None if it is none.
+        tier: of which part of which online training it is; None if it is of none. Its rewards are those of ``task``, and it has no base.
         diagnostics: the last line of the collection's diagnostics and the method's own summary; a relabelled dataset has its base's.
         versions: of Python and the packages that matter.
         commit: of this project's code, None when it is not run from a checkout.
@@ -250,6 +252,7 @@ class Manifest(BaseModel):
     pilot: Pilot | None = None
     imported: Import | None = None
     mixture: Mixture | None = None
+    tier: Tier | None = None
     diagnostics: dict[str, Any] = {}
     versions: dict[str, str]
     commit: str | None = None
@@ -268,8 +271,8 @@ class Manifest(BaseModel):
 
     @property
     def was_collected(self) -> bool:
-        """Whether a collector of this project made it, or its base, in one run: it was neither imported nor mixed."""
-        return self.imported is None and self.mixture is None
+        """Whether a collector of this project made it, or its base: it was neither imported nor mixed, nor made by a training on a task."""
+        return self.imported is None and self.mixture is None and self.tier is None
 
     @property
     def holds_others_data(self) -> bool:

@@ -25,7 +25,7 @@ from cudc_bench.text import shortened, visible
 # The class that all of typer's own complaints about the command line descend from (typer brings its own copy of click).
 _CommandLineError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 _ORDER = (
-    "run", "collect", "pilot", "import-exorl", "import-minari", "mix", "relabel", "evaluate", "reference", "render", "export",
+    "run", "collect", "pilot", "import-exorl", "import-minari", "mix", "relabel", "evaluate", "reference", "tiers", "render", "export",
     "leaderboard", "submit", "diagnostics", "stats", "compare", "verify", "list", "show", "delete", "doctor",
 )  # fmt: skip
 _COMPLETION = "_CUDC_BENCH_COMPLETE"  # the environment variable by which a shell asks what could come next

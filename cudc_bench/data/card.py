@@ -81,6 +81,7 @@ def facts_of(manifest: Manifest) -> list[tuple[str, str]]:
         "settings that differ": ", ".join(f"{name}={_value(value)}" for name, value in sorted(manifest.overrides.items())),
         "threshold": _threshold(manifest),
         "mixed of": _parts(manifest),
+        "of the training": _training(manifest),
         "made from": "" if manifest.base is None else f"{manifest.base.id} ({'linked' if manifest.base.linked else 'copied'})",
         "made": f"{manifest.created}, in {manifest.seconds:,.0f} seconds, on {manifest.machine.get('processor', 'an unknown processor')}",
         "commit": f"{manifest.commit or ''}{' with local changes' if manifest.dirty else ''}",
@@ -108,6 +109,8 @@ def _descriptors(manifest: Manifest, domain: Domain) -> dict[str, Any] | None:
 def _origin(manifest: Manifest) -> str:
     if manifest.imported is not None:
         made = f"Imported from {manifest.imported.files:,} episode files of {manifest.imported.source}, not collected by cudc-bench."
+    elif manifest.tier is not None:
+        made = f"Made by TD3, trained online on {domain_title(manifest.domain)}'s task {manifest.task} with cudc-bench."
     elif manifest.mixture is not None:
         made = f"Mixed by cudc-bench in equal parts, of whole episodes of datasets in {domain_title(manifest.domain)} without rewards."
     else:
@@ -140,6 +143,8 @@ def _caveats(manifest: Manifest) -> list[str]:
             f"{ends:,} steps of its first growth{f' ({schedule})' if schedule.growth else ''}. A schedule this early says "
             "more about the thresholds than about what was reachable."
         )
+    if manifest.tier is not None:
+        found.append("Its rewards guided whoever chose its actions: it is no data of exploration without a task.")
     one = "one draw from one seed of each of its parts" if manifest.mixture is not None else "one seed of one method"
     found += [
         f"It is {one}; differences between methods need several seeds.",
@@ -153,6 +158,14 @@ def _caveats(manifest: Manifest) -> list[str]:
 def _threshold(manifest: Manifest) -> str:
     pilot = manifest.pilot
     return "" if pilot is None else f"{pilot.name} = {pilot.value:.6g}, measured by a pilot: {pilot.command}"
+
+
+def _training(manifest: Manifest) -> str:
+    tier = manifest.tier
+    if tier is None:
+        return ""
+    part = f"its first {tier.step:,} steps" if tier.kind.endswith("replay") else f"its policy after {tier.step:,} steps, with noise"
+    return f"{part}; score {tier.score:.1f} then, {tier.expert_score:.1f} of the final policy"
 
 
 def _parts(manifest: Manifest) -> str:

@@ -9,6 +9,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.commands import Parsed, parse_command, settings_that_differ
 from cudc_bench.artefacts.manifest import Manifest, Mixture
 from cudc_bench.artefacts.provenance import is_own_command
+from cudc_bench.artefacts.tiers import LearningPoint, step_of
 from cudc_bench.data.mixing import share_of
 from cudc_bench.envs.domains import Domain
 from cudc_bench.errors import CudcBenchError, UsageError
@@ -65,6 +66,21 @@ def odd_parts(manifest: Manifest, domain: Domain) -> str | None:
         return "one of its parts is there twice"
     if not isinstance(steps, int) or share_of(steps, len(parts), domain) != counts[0]:
         return f"{counts[0]:,} episodes of each of its parts are not what steps={steps!r:.40} asks for"
+    return None
+
+
+def odd_tier(manifest: Manifest) -> str | None:
+    """Why a dataset cannot be of the part of a training that it says, as a part of a sentence; None if it can."""
+    assert manifest.tier is not None
+    tier, steps = manifest.tier, manifest.hyperparameters.get("steps")
+    wanted = {"replay": steps, "medium-replay": tier.step}.get(tier.kind, manifest.hyperparameters.get("data_steps"))
+    if manifest.method != tier.kind or manifest.task is None or manifest.base is not None:
+        return f"it is {tier.kind} of a training, and says method {manifest.method:.40}, task {manifest.task}"
+    if manifest.steps != wanted:
+        return f"it has {manifest.steps:,} steps, and {tier.kind} of its training has {wanted!r:.40}"
+    right = step_of(tier.kind, tier.curve, tier.expert_score)
+    if tier.curve[-1].step != steps or LearningPoint(step=right, score=tier.score) not in tier.curve or tier.step != right:
+        return f"its training's curve leads to step {right:,} of {steps!r:.40}, and it says step {tier.step:,} and score {tier.score:g}"
     return None
 
 
@@ -142,6 +158,9 @@ def _about_command(manifest: Manifest) -> Iterator[str]:
         expected |= {"tasks": task} if reward is None else {"reward": reward.reference}
     elif manifest.imported is not None:
         kind, expected = "import-", {}
+    elif manifest.tier is not None:
+        kind, expected = "tiers", {"domain": manifest.domain, "tasks": task, "seeds": manifest.seed, "profile": manifest.profile}
+        expected["steps"] = manifest.overrides.get("data_steps")
     elif manifest.mixture is not None:
         yield from _about_parts(manifest.mixture, command)
         kind, expected = "mix", {"seed": manifest.seed, "steps": manifest.hyperparameters.get("steps")}
@@ -152,9 +171,10 @@ def _about_command(manifest: Manifest) -> Iterator[str]:
         yield f"its command is '{command.name}', which makes no such dataset"
         return
     yield from command.contradictions(expected)
-    if kind == "collect":
+    if kind in ("collect", "tiers"):
         try:
             everything = {"precision": "float32"} | manifest.hyperparameters
-            yield from settings_that_differ(command.settings, manifest.overrides, everything)
+            overrides = {name: value for name, value in manifest.overrides.items() if kind == "collect" or name != "data_steps"}
+            yield from settings_that_differ(command.settings, overrides, everything)
         except UsageError as error:
             yield f"its command is refused ({str(error).rstrip('.')})"

@@ -25,7 +25,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, parse_id
 from cudc_bench.artefacts.manifest import FieldHasher, Manifest, Mixture, exists, fingerprint, read_manifest, read_metadata
 from cudc_bench.artefacts.provenance import same_arithmetic, versions
-from cudc_bench.data.claims import contradictions, from_base, odd_environment, odd_parts, remarks
+from cudc_bench.data.claims import contradictions, from_base, odd_environment, odd_parts, odd_tier, remarks
 from cudc_bench.data.descriptors import Visits
 from cudc_bench.data.layout import MAIN_FILE, has_reset_row
 from cudc_bench.data.metadata import minari_metadata
@@ -171,6 +171,7 @@ class _Verifier:
         elif manifest.imported is None:
             self._unproven.append(f"that {manifest.method} with these hyperparameters chose the actions")
             measured = "the diagnostics but for the coverage" if _COVERED in self._proven else "the diagnostics"
+            measured = measured if manifest.tier is None else "the scores of its training"
             self._unproven.append(f"{measured}, and the final state" if manifest.final_state else measured)
         else:
             self._unproven.append(f"that {manifest.imported.source}'s {manifest.method} collected it")
@@ -226,6 +227,8 @@ class _Verifier:
             fail(f"it has {manifest.steps:,} steps, but was collected with steps={manifest.hyperparameters.get('steps')!r:.40}")
         if not 1 <= manifest.episodes <= manifest.steps:
             fail(f"{manifest.steps:,} steps cannot form {manifest.episodes:,} episodes")
+        if manifest.tier is not None and (what := odd_tier(manifest)) is not None:
+            fail(what)
         if manifest.mixture is not None and (what := odd_parts(manifest, facts)) is not None:
             fail(what)
         missing = {"observations", "actions", "rewards", "terminations", "truncations"} - manifest.fields.keys()
@@ -479,7 +482,7 @@ class _Verifier:
         manifest = self._manifest
         if manifest.task is None:
             return lambda group: np.zeros(int(group.attrs["total_steps"]), np.float32), "all 0: it belongs to no task"
-        if manifest.base is None:
+        if manifest.base is None and manifest.tier is None:
             self._unproven.append(f"that its rewards are those of {manifest.task}: they were imported")
             return None, "as they were imported; not computed again"
         if manifest.reward is not None:
@@ -505,7 +508,7 @@ class _Verifier:
             what = f"the reward is {there[step]:.9g}, but the state that action {step} leads to has {computed[step]:.9g}"
             if self._manifest.task is None:
                 what = f"the reward is {there[step]:.9g}, but a dataset without a task has 0"
-            self._fail("rewards", what, index, step, _RESTORE if self._manifest.task is None else "relabel its base again with --overwrite")
+            self._fail("rewards", what, index, step, _RESTORE if self._manifest.base is None else "relabel its base again with --overwrite")
 
     # ----------------------------------------------------------------------------------------------------------------------- coverage
 

@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from cudc_bench import plugins
-from cudc_bench.artefacts.again import commands_from_nothing, mixture_steps
+from cudc_bench.artefacts.again import collect_commands, commands_from_nothing, mixture_steps
 from cudc_bench.artefacts.ids import default_id, rooted_at
 from cudc_bench.artefacts.manifest import exists, read_manifest
 from cudc_bench.artefacts.provenance import commit, is_own_command, machine, source, versions
 from cudc_bench.artefacts.records import DatasetReference, Record, Reran, read_record, record_files, write_record
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.execution import interrupts
 from cudc_bench.execution.locks import locked
@@ -164,6 +165,12 @@ def _case(path: Path, record: Record, folder: Path, collect: bool, reward: str |
     if data.source is not None:
         raise UsageError(
             f"{path}: its dataset '{data.id}' was imported from {data.source}, and no command can collect it; have it here"
+            + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
+        )
+    if data.method in TIERS:
+        making = " && ".join(collect_commands(data))
+        raise UsageError(
+            f"{path}: its dataset '{data.id}' is of an online training, which is not made again here ({making}); have it here"
             + (" and leave out --collect." if collect else " with the fingerprint that the record names.")
         )
     if foreign := [part.id for part in data.parts if part.source is not None]:

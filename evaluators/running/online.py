@@ -39,6 +39,7 @@ class EpisodeSink(Protocol):
 def run_online(
     agent: Evaluator, config: OnlineConfig, domain: Domain, tasks: Sequence[str], arena: Arena, advance: Callable[[int], None],
     sinks: Sequence[EpisodeSink] = (), logs: Sequence[RunLog] = (), checkpoints: Checkpoints | None = None,
+    evaluated: Callable[[int], None] = lambda step: None,
 ) -> list[Outcome]:  # fmt: skip
     """Train for ``config.steps`` environment steps on each member's task, and evaluate the deterministic policy on the way.
 
@@ -54,6 +55,7 @@ def run_online(
         sinks: one for each member, or none; with ``checkpoints`` they must hold what they get for longer than the process lives.
         logs: see :class:`~.loop.Ledger`; steps are the environment's.
         checkpoints: as for :meth:`Interaction.run <cudc_bench.runs.interaction.Interaction.run>`; the evaluations are repeated exactly.
+        evaluated: told of each evaluation's step, while the policies are those that were evaluated; of some again after a resumption.
 
     Returns:
         Of each member the curve, the final evaluation and the metrics, by environment steps.
@@ -63,7 +65,7 @@ def run_online(
         Interrupted: the process was asked to leave; the state is kept.
     """
     set_precision(agent, config.precision)
-    run = _Run(agent, config, domain, tasks, arena, sinks, Ledger(len(agent.seeds), logs))
+    run = _Run(agent, config, domain, tasks, arena, sinks, Ledger(len(agent.seeds), logs), evaluated)
     run.run(advance, checkpoints)
     try:
         run.ledger.add_final(config.steps, arena.evaluate(agent, agent.seeds, FINAL, config.steps, config.final_episodes))
@@ -79,25 +81,67 @@ def rehearse_online(agent: Evaluator, config: OnlineConfig, domain: Domain, task
     _Run(agent, config, domain, tasks, Arena(domain, tasks), [], Ledger(len(agent.seeds))).rehearse()
 
 
-class _Run(Interaction):
-    """A run after some steps. The arguments are those of :func:`run_online`."""
+class PolicyInteraction(Interaction):
+    """Agents that act with Gaussian noise around their policies, each on its task, and whose episodes hold the live rewards.
+
+    Args:
+        agent, config, domain, tasks, sinks: those of :func:`run_online`.
+        learns: whether they do, on the way.
+        stream: what their noise is drawn for.
+    """
 
     def __init__(
-        self, agent: Evaluator, config: OnlineConfig, domain: Domain, tasks: Sequence[str], arena: Arena,
-        sinks: Sequence[EpisodeSink], ledger: Ledger,
+        self, agent: Evaluator, config: OnlineConfig, domain: Domain, tasks: Sequence[str], sinks: Sequence[EpisodeSink], *, learns: bool,
+        stream: str = "act",
     ) -> None:  # fmt: skip
-        self._agent, self._config, self._arena, self._sinks, self.ledger = agent, config, arena, sinks, ledger
-        self._noise = MemberRandom(agent.seeds, "act", agent.device)
-        self._horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
+        self._agent, self._config, self._sinks = agent, config, sinks
+        self._noise = MemberRandom(agent.seeds, stream, agent.device)
         self._tasks = [domain.tasks.index(task) for task in tasks]
         self._rewards = reward_function(domain.name)
-        self._points = config.points
-        super().__init__(agent, domain, config, [self._noise], rewards=True, quantities=True)
+        super().__init__(agent, domain, config, [self._noise], learns=learns, rewards=True, quantities=True)
 
     @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
         mean = self._agent.policy(observation[:, None])[:, 0]
         return noisy_action(mean, self._noise.normal(*mean.shape[1:]), self._config.exploration_std, None)
+
+    def draw(self, measure: bool) -> Batch:
+        raise NotImplementedError("these members do not learn")
+
+    def is_measured(self, step: int) -> bool:
+        return False
+
+    def episode(self, member: int, length: int) -> Episode:
+        rewards = self._rewards(self.quantities[member, :length])[:, self._tasks[member]].astype(np.float32)
+        infos = {"physics": self.physics[member, : length + 1]}
+        return Episode(self.reset_seeds[member], self.observations[member, : length + 1], self.actions[member, :length], infos, rewards)
+
+    def hand_on(self, member: int, episode: Episode) -> None:
+        if self._sinks:
+            self._sinks[member].add(episode)
+
+    def stores(self) -> Sequence[EpisodeStore]:
+        return cast(Sequence[EpisodeStore], self._sinks)
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {"noise": self._noise.state_dict()}
+
+    def load_state(self, steps: int, state: dict[str, Any]) -> None:
+        super().load_state(steps, state)
+        self._noise.load_state_dict(state["noise"])
+
+
+class _Run(PolicyInteraction):
+    """A run after some steps. The arguments are those of :func:`run_online`."""
+
+    def __init__(
+        self, agent: Evaluator, config: OnlineConfig, domain: Domain, tasks: Sequence[str], arena: Arena,
+        sinks: Sequence[EpisodeSink], ledger: Ledger, evaluated: Callable[[int], None] = lambda step: None,
+    ) -> None:  # fmt: skip
+        self._arena, self.ledger, self._evaluated = arena, ledger, evaluated
+        self._horizon = torch.ones(len(agent.seeds), dtype=torch.int64, device=agent.device)
+        self._points = config.points
+        super().__init__(agent, config, domain, tasks, sinks, learns=True)
 
     def draw(self, measure: bool) -> Batch:
         assert self.replay is not None
@@ -113,27 +157,15 @@ class _Run(Interaction):
         if ledger.evaluated >= step or step not in self._points:
             return
         returns = self._arena.evaluate(self._agent, self._agent.seeds, "evaluation", step, self._config.evaluation_episodes)
+        self._evaluated(step)
         if self.metrics:
             ledger.add_metrics(step, member_rows(self.metrics, step))
             self.metrics = {}
         ledger.add_returns(step, returns)
 
-    def episode(self, member: int, length: int) -> Episode:
-        rewards = self._rewards(self.quantities[member, :length])[:, self._tasks[member]].astype(np.float32)
-        infos = {"physics": self.physics[member, : length + 1]}
-        return Episode(self.reset_seeds[member], self.observations[member, : length + 1], self.actions[member, :length], infos, rewards)
-
-    def hand_on(self, member: int, episode: Episode) -> None:
-        if self._sinks:
-            self._sinks[member].add(episode)
-
-    def stores(self) -> Sequence[EpisodeStore]:
-        return cast(Sequence[EpisodeStore], self._sinks)
-
     def state(self) -> dict[str, Any]:
-        return super().state() | {"noise": self._noise.state_dict(), "ledger": self.ledger.state_dict()}
+        return super().state() | {"ledger": self.ledger.state_dict()}
 
     def load_state(self, steps: int, state: dict[str, Any]) -> None:
         super().load_state(steps, state)
-        self._noise.load_state_dict(state["noise"])
         self.ledger.load_state_dict(state["ledger"])

@@ -10,6 +10,7 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.artefacts.records import LABELS
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward, Measured, load_reward
 from cudc_bench.errors import UsageError
@@ -17,7 +18,7 @@ from cudc_bench.learning.learner import check_precision
 from cudc_bench.settings.config import as_dict, build, changed, check_settings
 from cudc_bench.settings.evaluate_config import EvaluateConfig, check_milestones, plain_values, profile_values
 from cudc_bench.settings.profiles import Profile
-from cudc_bench.stages import check_collected, check_profile, ensure_collected, ensure_relabelled
+from cudc_bench.stages import check_collected, check_profile, check_tiers, ensure_collected, ensure_relabelled
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,10 @@ class Wanted:
         if not methods:
             raise UsageError("no method was given; see cudc-bench list.")
         for method in () if ids else methods:
-            check_collected(method, domain, seeds, profile=profile)
+            if method in TIERS:
+                check_tiers(method, domain, check_tasks(facts, tasks) if custom is None else (), seeds, profile=profile)
+            else:
+                check_collected(method, domain, seeds, profile=profile)
         return cls(domains, tasks, methods, seeds, ids, custom, profile)
 
     def ensure(self, device: str, workers: int | None, overwrite: bool) -> list[str]:
@@ -169,12 +173,20 @@ class Wanted:
             RunError: making one failed.
         """
         if self.ids is None:
+            facts = check_domain(self.domains[0])
+            tiers = [
+                str(one)
+                for method in self.methods
+                if method in TIERS
+                for one in check_tiers(method, facts.name, check_tasks(facts, self.tasks), self.seeds, profile=self.profile)
+            ]
             bases = [
                 one
                 for method in self.methods
+                if method not in TIERS
                 for one in ensure_collected(method, self.domains[0], self.seeds, profile=self.profile, device=device, workers=workers)
             ]
-            return [one for base in bases for one in ensure_relabelled(base, self.tasks, self.reward, overwrite)]
+            return [one for base in bases for one in ensure_relabelled(base, self.tasks, self.reward, overwrite)] + tiers
         found: list[tuple[str, Manifest]] = []
         # All are checked before the first is relabelled.
         for dataset_id in self.ids:
@@ -194,6 +206,10 @@ class Wanted:
             RunError: making one failed.
         """
         if self.ids is None:
+            if labelled := [method for method in self.methods if method in TIERS]:
+                raise UsageError(
+                    f"{', '.join(labelled)} holds the rewards of one task; a learner without rewards trains on collected data."
+                )
             found = {
                 one: self._asked(None)
                 for method in self.methods

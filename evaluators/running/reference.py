@@ -18,7 +18,7 @@ from cudc_bench.artefacts.provenance import command_line, commit, machine, origi
 from cudc_bench.artefacts.records import CHECKPOINTS, Evaluation, TrainingMetrics
 from cudc_bench.artefacts.references import Reference, ReferenceRun, read_reference, reference_path, write_reference
 from cudc_bench.data.writer import EpisodeShards
-from cudc_bench.envs import check_domain, check_tasks
+from cudc_bench.envs import check_domain
 from cudc_bench.errors import BrokenDownError, RunError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
@@ -27,51 +27,30 @@ from cudc_bench.execution.progress import Advance, echo
 from cudc_bench.execution.runlog import LogTarget, RunLog, open_log
 from cudc_bench.files import check_folder, remove_empty_above
 from cudc_bench.learning.bf16 import echo_if_slower
-from cudc_bench.learning.engines import engine_of, set_engine
-from cudc_bench.learning.learner import check_precision
+from cudc_bench.learning.engines import engine_of
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.runs.execution import Execution, Work
 from cudc_bench.runs.existing import result_stands
-from cudc_bench.settings.config import as_dict, build, changed, check_settings, config_hash
-from cudc_bench.settings.evaluate_config import OnlineConfig
+from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.profiles import resolve_profile
-from cudc_bench.settings.seeds import check_seeds, format_seeds
+from cudc_bench.settings.seeds import format_seeds
 
-from ..td3 import TD3, TD3Config
 from .loop import Actor, Arena, Outcome
-from .online import rehearse_online, run_online
+from .online import run_online
+from .training import Member, OnlineTraining, names_of
 
 _PATIENCE = 60.0  # seconds; whoever holds the lock writes a file
 
 
 @dataclass(frozen=True)
-class ReferencePlan:
+class ReferencePlan(OnlineTraining):
     """The references of one command.
 
-    Attributes:
-        domain, tasks, seeds: whose.
-        profile: the set of hyperparameters that they start from.
-        loop, config: all hyperparameters.
-        overrides: those that the user changed.
-        device, engine: where the agents learn, and how their updates are to be carried out.
+    Attributes, beside those of every online training:
         results: the folder of records.
     """
 
-    domain: str
-    tasks: tuple[str, ...]
-    seeds: tuple[int, ...]
-    profile: str
-    loop: OnlineConfig
-    config: TD3Config
-    overrides: dict[str, Any]
-    device: str
-    engine: str
     results: Path
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """All hyperparameters by name."""
-        return as_dict(self.loop, self.config)
 
     def path(self, task: str) -> Path:
         """Where the reference of a task goes."""
@@ -84,14 +63,6 @@ class ReferencePlan:
     def hidden(self, path: Path) -> Path:
         """What is kept for a file while it is being made lies under its name here."""
         return self.results / CHECKPOINTS / path.relative_to(self.results)
-
-
-@dataclass(frozen=True)
-class Member:
-    """One training: a task and a seed."""
-
-    task: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -129,17 +100,12 @@ class Stack:
     @property
     def label(self) -> str:
         """What stands beside their progress bar."""
-        return f"td3 online: {self._names}"
+        return f"td3 online: {names_of(self.members)}"
 
     @property
     def name(self) -> str:
         """What they make, as messages say it."""
-        return f"the reference of {self._names} at {self.plan.profile}"
-
-    @property
-    def _names(self) -> str:
-        names = [f"{one.task} seed {one.seed}" for one in self.members]
-        return " + ".join(names) if len(names) < 3 else f"{len(names)} trainings"
+        return f"the reference of {names_of(self.members)} at {self.plan.profile}"
 
     def checkpoints(self, every: float = CHECKPOINT_EVERY) -> Checkpoints:
         """Where their state is kept."""
@@ -152,10 +118,7 @@ class Stack:
 
     def rehearse(self, members: int) -> None:
         """See :class:`~cudc_bench.runs.memory.Rehearsing`."""
-        facts = check_domain(self.plan.domain)
-        agent = TD3(facts.observation_size, facts.action_size, self.plan.config, self.seeds[:members], self.plan.device)
-        set_engine(agent, self.plan.engine)
-        rehearse_online(agent, self.plan.loop, facts, [one.task for one in self.members[:members]])
+        self.plan.rehearse(self.members[:members])
 
     def is_interrupted(self) -> bool:
         """Whether these very members have been begun and not ended."""
@@ -233,7 +196,7 @@ def make_references(
     execution = Execution.checked(
         device, workers, checkpoint_every, engine=engine, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir
     )
-    plan = _plan(domain, tasks, seeds, profile, dict(settings or {}), output, execution)
+    plan = ReferencePlan.checked(domain, tasks, seeds, profile, settings or {}, execution, results=check_folder(output, "the output"))
     missing = [task for task in plan.tasks if overwrite or not _done(plan, task)]
     members = [Member(task, seed) for task in plan.tasks for seed in plan.seeds]
     work = Work.plan(execution, "reference", [members], [one for one in members if one.task in missing], partial(Stack, plan))
@@ -253,34 +216,6 @@ def make_references(
     threads = resolve_profile(profile).threads
     work.carry_out(train_members, unit="steps", total=plan.loop.steps, threads=threads, stacks=work.stacks)
     return [plan.path(task) for task in plan.tasks]
-
-
-def _plan(
-    domain: str,
-    tasks: Sequence[str] | None,
-    seeds: Sequence[int],
-    profile: str,
-    settings: dict[str, Any],
-    output: str | Path,
-    execution: Execution,
-) -> ReferencePlan:
-    """Everything that is needed.
-
-    Raises:
-        UsageError: wrong input.
-    """
-    chosen = resolve_profile(profile)
-    check_settings(settings, [OnlineConfig, TD3Config])
-    layers = (chosen.collect, chosen.evaluate)
-    loop, config = build(OnlineConfig, *layers, settings), TD3.configure(chosen.evaluate, settings)
-    overrides = changed(as_dict(loop, config), as_dict(build(OnlineConfig, *layers), TD3.configure(chosen.evaluate), later=True))
-    results = check_folder(output, "the output")
-    check_precision(TD3, "td3", loop.precision, execution.device)
-    found = check_tasks(check_domain(domain), tasks)
-    engine = execution.engine_for(TD3, (loop.steps - loop.seed_steps) // loop.update_every)
-    return ReferencePlan(
-        domain, found, tuple(sorted(check_seeds(seeds))), chosen.name, loop, config, overrides, execution.device, engine, results
-    )
 
 
 def _done(plan: ReferencePlan, task: str) -> bool:
@@ -330,13 +265,10 @@ def _train(advance: Advance, stack: Stack, checkpoints: Checkpoints, logs: Seque
     plan, seeds, tasks = stack.plan, stack.seeds, [one.task for one in stack.members]
     shards = [EpisodeShards(checkpoints.folder / f"{one.task}-seed{one.seed}") for one in stack.members]
     facts = check_domain(plan.domain)
-    arena, sizes = Arena(facts, tasks), (facts.observation_size, facts.action_size)
-    agent = TD3(*sizes, plan.config, seeds, plan.device)
-    set_engine(agent, plan.engine)
+    arena, agent = Arena(facts, tasks), plan.agent(seeds)
     try:
         outcomes = run_online(agent, plan.loop, facts, tasks, arena, advance, shards, logs, checkpoints)
-        untrained = TD3(*sizes, plan.config, seeds, plan.device)
-        actors: dict[str, Actor] = {"random actions": RandomActions(seeds, facts.action_size), "untrained policy": untrained}
+        actors: dict[str, Actor] = {"random actions": RandomActions(seeds, facts.action_size), "untrained policy": plan.agent(seeds)}
         floors = [arena.evaluate(actor, seeds, what, 0, plan.loop.final_episodes).tolist() for what, actor in actors.items()]
     except interrupts.Interrupted as error:
         # While a floor was measured; all before it is kept.

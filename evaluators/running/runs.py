@@ -292,7 +292,7 @@ def record_of(
     values = plan.values
     head, dirty = commit()
     finals = [Evaluation(step=step, returns=returns) for step, returns in outcome.finals]
-    made = manifest.collected
+    made = manifest if manifest.tier is not None else manifest.collected
     collection = Collection(hyperparameters=manifest.hyperparameters, versions=made.versions, machine=made.machine) if made else None
     task, reward = (manifest.task, manifest.reward) if answer is None else (answer.question.task, answer.question.reward)
     seconds /= beside

@@ -14,6 +14,7 @@ from cudc_bench.artefacts.again import base_id, collect_commands
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import Record, settings_text
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.errors import CudcBenchError
 from cudc_bench.text import plain
 
@@ -62,9 +63,10 @@ class Dataset:
         if self.source is not None or self.id is None:
             return []
         first = self.records[0].dataset
-        what = {"collect": "Collect a part" if first.parts else "Collect it", "mix": "Mix the parts"}
+        what = {"collect": "Collect a part" if first.parts else "Collect it", "mix": "Mix the parts", "tiers": "Train online"}
         found = [(what[command.split()[1]], command) for command in collect_commands(first)]
-        found.append(("Label it", f"cudc-bench relabel {self.id}"))
+        if first.method not in TIERS:
+            found.append(("Label it", f"cudc-bench relabel {self.id}"))
         return [(label, command) for label, command in found if is_own_command(command)]
 
 

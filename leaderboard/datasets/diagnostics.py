@@ -186,6 +186,8 @@ def _refuse(one: str, manifest: Manifest) -> None:
     if manifest.mixture is not None:
         parts = ", ".join(f"'{plain(part.id)}'" for part in manifest.mixture.parts)
         raise UsageError(f"'{one}' has no diagnostics: it was mixed of {parts}, which have their own.")
+    if manifest.tier is not None:
+        raise UsageError(f"'{one}' has no diagnostics of a collector: it is of a training on {manifest.task}; its card has the scores.")
     if manifest.task is not None:
         base = "its base" if manifest.base is None else f"its base '{plain(manifest.base.id)}'"
         raise UsageError(f"'{one}' is labelled for {plain(manifest.task)}; the diagnostics are those of {base}.")

@@ -25,6 +25,7 @@ from cudc_bench.artefacts.ids import parse_id
 from cudc_bench.artefacts.manifest import IMPORTED_PROFILE
 from cudc_bench.artefacts.provenance import knows_commit
 from cudc_bench.artefacts.records import LABELS, Record, Submission, parse_record, read_content, record_path, settings_text, to_json
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.envs.registry import check_domain, check_tasks
 from cudc_bench.errors import CudcBenchError, RunError, UsageError, nearest
@@ -237,7 +238,8 @@ def _about_data(record: Record) -> Iterator[str]:
         yield "an imported dataset was collected at no profile, with no settings."
     if not data.goes_with_every_profile and data.profile != record.profile:
         yield f"its dataset was collected at profile {data.profile}, and it was trained at {record.profile}."
-    if data.source is None and not data.parts and data.domain in DOMAINS and data.profile in PROFILES and "steps" not in data.overrides:
+    plain_collection = data.source is None and not data.parts and data.method not in TIERS
+    if plain_collection and data.domain in DOMAINS and data.profile in PROFILES and "steps" not in data.overrides:
         usual = PROFILES[data.profile].collect.get("steps", PAPER_STEPS)
         if data.steps != usual:
             yield f"its dataset has {data.steps:,} steps where profile {data.profile} has {usual:,}, and its overrides do not say so."
@@ -390,7 +392,7 @@ def _remarks(record: Record) -> Iterator[str]:
         yield f"{record.algorithm} has hyperparameters here that it lacks: {', '.join(lacking)}."
     data = record.dataset
     methods = {part.method for part in data.parts if part.source is None} if data.parts else {data.method} if data.source is None else set()
-    for method in sorted(methods - set(plugins.names("collectors"))):
+    for method in sorted(methods - {*plugins.names("collectors"), *TIERS}):
         yield f"the method {method} is not installed here; nobody can collect its dataset again from here."
     if record.dataset.reward is not None:
         yield f"its rewards are those of {record.dataset.reward.reference}, which is not part of it."

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from cudc_bench.artefacts.records import Record
+from cudc_bench.artefacts.tiers import TIERS
 
 from ..methods import canonical
 from .words import short
@@ -32,7 +33,8 @@ def column(record: Record) -> str:
 
 def is_own(record: Record) -> bool:
     """Whether it was collected and trained here, so that more of its kind can be asked for."""
-    return record.dataset.source is None and not record.dataset.parts and record.submission is None
+    data = record.dataset
+    return data.source is None and not data.parts and data.method not in TIERS and record.submission is None
 
 
 @dataclass(frozen=True)

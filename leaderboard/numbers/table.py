@@ -283,8 +283,8 @@ def by_cell(records: Iterable[Record]) -> dict[tuple[str, str], list[Record]]:
 
 
 def commands(records: Iterable[Record]) -> list[str]:
-    """The commands that make records again from nothing, without repeats: collections, then mixtures, then labels, then trainings."""
-    steps: dict[str, set[str]] = {"collect": set(), "mix": set(), "relabel": set(), "": set()}
+    """The commands that make records again from nothing, without repeats: collections, mixtures, tiers, labels, trainings."""
+    steps: dict[str, set[str]] = {"collect": set(), "mix": set(), "tiers": set(), "relabel": set(), "": set()}
     for record in records:
         *before, last = commands_from_nothing(record)
         steps[""].add(plain(last))

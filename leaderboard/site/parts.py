@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.artefacts.references import reference_path
+from cudc_bench.artefacts.tiers import TIERS
 from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.text import plain
 
@@ -305,6 +306,8 @@ def origin(record: Record) -> str:
     data = "collected with cudc-bench" if source is None else f"imported from {source}"
     if record.dataset.parts:
         data = f"mixed of {', '.join(part.id for part in record.dataset.parts)}"
+    if record.dataset.method in TIERS:
+        data = "made by an online training with cudc-bench"
     if record.submission is None:
         return data
     if record.submission.reran is None:

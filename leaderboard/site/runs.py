@@ -119,7 +119,6 @@ def _told(record: Record) -> list[tuple[str, Item]]:
 def _again(record: Record) -> tuple[tuple[str, str], ...]:
     """The commands that make a record again from nothing, each with what it does; texts of a page have one line."""
     *before, last = commands_from_nothing(record)
-    what = {"collect": "Collects its dataset, where it is missing", "mix": "Mixes its parts", "relabel": "Labels it"}
-    if record.dataset.parts:
-        what["collect"] = "Collects a part of its dataset, where it is missing"
+    collects = f"Collects {'a part of ' if record.dataset.parts else ''}its dataset, where it is missing"
+    what = {"collect": collects, "mix": "Mixes its parts", "tiers": "Trains online, and keeps the data", "relabel": "Labels it"}
     return (*((what[command.split()[1]], command) for command in before), ("Makes this record again", last))

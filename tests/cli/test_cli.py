@@ -28,8 +28,8 @@ from ..waiting import PATIENCE, wait_for
 
 TASKS = ("stand", "walk", "run", "flip")
 COMMANDS = (
-    "collect", "pilot", "import-exorl", "import-minari", "mix", "relabel", "evaluate", "reference", "render", "export", "leaderboard",
-    "submit", "diagnostics", "stats", "compare", "verify", "list", "show", "delete", "doctor",
+    "collect", "pilot", "import-exorl", "import-minari", "mix", "relabel", "evaluate", "reference", "tiers", "render", "export",
+    "leaderboard", "submit", "diagnostics", "stats", "compare", "verify", "list", "show", "delete", "doctor",
 )  # fmt: skip
 
 # Arguments and what the refusal must name. Each runs beside the datasets of the smoke profile.

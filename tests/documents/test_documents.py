@@ -50,6 +50,8 @@ PLACEHOLDERS = {
     "my_rewards:hop": "docs/tutorials/own-reward.md",
     "all": "every one",
     "mixture": "what mix makes of several",
+    "expert": "what tiers makes of a training",
+    "medium": "what tiers makes of a training",
 }
 _CLICK: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 

@@ -178,7 +178,7 @@ def test_a_stack_of_all_tasks_and_seeds_makes_the_references_of_its_members_alon
     tmp_path: Path, undisturbed: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on CUDA: one training of all of them, which is continued as a whole if it ended before all references were written."""
-    plan = reference._plan("jaco", (LEFT, RIGHT), (1, 2), "smoke", dict(SHORT), tmp_path, Execution())
+    plan = reference.ReferencePlan.checked("jaco", (LEFT, RIGHT), (1, 2), "smoke", SHORT, Execution(), results=tmp_path)
     stack = reference.Stack(plan, [reference.Member(task, seed) for task in plan.tasks for seed in plan.seeds])
 
     def train() -> None:

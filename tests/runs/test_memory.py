@@ -18,7 +18,7 @@ from cudc_bench.collectors.running.run_spec import resolve
 from cudc_bench.errors import RunError
 from cudc_bench.evaluators.running.evaluate import evaluate_members
 from cudc_bench.evaluators.running.plans import make_plans
-from cudc_bench.evaluators.running.reference import Member, _plan, train_members
+from cudc_bench.evaluators.running.reference import Member, ReferencePlan, train_members
 from cudc_bench.evaluators.running.reference import Stack as Referring
 from cudc_bench.evaluators.running.runs import Run
 from cudc_bench.evaluators.running.runs import Stack as Training
@@ -82,7 +82,7 @@ def training(seeds: tuple[int, ...], output: Path) -> tuple[Work[Any], Callable[
 def referring(seeds: tuple[int, ...], output: Path) -> tuple[Work[Any], Callable[[], Any]]:
     execution = Execution()
     settings = {"steps": 1500, "seed_steps": 300, "update_every": 50, "evaluations": 1, "final_episodes": 1}
-    plan = _plan("walker", ["walk"], seeds, "smoke", settings, output, execution)
+    plan = ReferencePlan.checked("walker", ["walk"], seeds, "smoke", settings, execution, results=output)
     work = Work(execution, [Referring(plan, [Member("walk", seed) for seed in seeds])], 1)
     return work, partial(work.carry_out, train_members, unit="steps", total=1500, threads=1, stacks=work.stacks)
 
