@@ -12,7 +12,7 @@ from typing import Any
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, default_id, parse_id
-from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, Manifest, exists, read_manifest
+from cudc_bench.artefacts.manifest import IMPORTED_PROFILE, MIXTURE, Manifest, exists, read_manifest
 from cudc_bench.artefacts.provenance import command_line
 from cudc_bench.envs import check_domain, check_tasks
 from cudc_bench.envs.rewards import CustomReward
@@ -53,6 +53,8 @@ def check_collected(method: str, domain: str, seeds: Sequence[int], *, profile: 
     name = resolve_profile(profile).name
     ids = [_default_or_imported(domain, method, seed, name) for seed in seeds]
     # What exists can be used without its collector: an imported dataset's was never here.
+    if method == MIXTURE and (missing := [str(one) for one in ids if not exists(one)]):
+        raise UsageError(f"there is no dataset '{missing[0]}'; make it of several: cudc-bench mix DATASET DATASET.")
     if not all(exists(one) for one in ids):
         plugins.check_name("collectors", method)
     for one in ids:

@@ -344,6 +344,10 @@ def domains() -> str:
     return text
 
 
+_manifest = _models(
+    "cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Mixture", "Part", "PartOrigin", "Pilot"
+)
+_tier = _models("cudc_bench.artefacts.tiers", "Tier", "LearningPoint")
 PARTS: Mapping[str, Callable[[], str]] = {
     "command-line": command_line,
     "python": python,
@@ -357,11 +361,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "departures-of-collectors": lambda: departures("collectors"),
     "departures-of-evaluators": lambda: departures("evaluators"),
     "json": _documents,
-    "manifest": _models(
-        "cudc_bench.artefacts.manifest", "Manifest", "Base", "Collected", "RewardFunction", "Import", "Mixture",
-        "Part", "PartOrigin", "Pilot",
-    ),  # fmt: skip
-    "tier": _models("cudc_bench.artefacts.tiers", "Tier", "LearningPoint"),
+    "manifest": lambda: "\n".join([_manifest(), _tier()]),
     "record": _models(
         "cudc_bench.artefacts.records",
         "Record",

@@ -11,6 +11,8 @@ from cudc_bench import plugins
 from cudc_bench.artefacts.ids import DatasetId, dataset_path, datasets_root, default_id, parse_id
 from cudc_bench.artefacts.manifest import (
     IMPORTED_PROFILE,
+    MIXTURE,
+    MOST_PARTS,
     Collected,
     Manifest,
     Mixture,
@@ -35,8 +37,6 @@ from cudc_bench.runs.existing import dataset_stands
 from cudc_bench.settings.config import config_hash
 from cudc_bench.settings.profiles import PAPER_STEPS, PROFILES
 from cudc_bench.settings.seeds import check_seeds
-
-METHOD = "mixture"
 
 
 def mix(
@@ -66,7 +66,7 @@ def mix(
     (seed,) = check_seeds([seed])
     check_folder(datasets_root(), "the dataset root")
     wanted = _Wanted.checked(dataset_ids, steps, seed)
-    usual = default_id(wanted.domain.name, METHOD, seed, wanted.profile)
+    usual = default_id(wanted.domain.name, MIXTURE, seed, wanted.profile)
     one = usual if dataset_id is None else parse_id(dataset_id)
     if str(one) in wanted.sources:
         raise UsageError(f"'{one}' itself would be replaced; give another --dataset-id.")
@@ -90,7 +90,7 @@ def mix(
         values = wanted.values
         manifest = Manifest(
             domain=domain.name,
-            method=METHOD,
+            method=MIXTURE,
             seed=seed,
             steps=written.steps,
             episodes=written.episodes,
@@ -198,6 +198,8 @@ def _sources(ids: Sequence[str]) -> dict[str, Manifest]:
     """
     if len(ids) < 2:
         raise UsageError("a mixture has two parts at least; name two datasets or more, such as walker/cudc-v0 walker/rnd-v0.")
+    if len(ids) > MOST_PARTS:
+        raise UsageError(f"a mixture has at most {MOST_PARTS} parts, not {len(ids):,}; leave out some.")
     sources: dict[str, Manifest] = {}
     for one in ids:
         manifest = read_manifest(one)

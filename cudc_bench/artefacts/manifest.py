@@ -26,6 +26,8 @@ from cudc_bench.settings.seeding import episode_seed
 KEY = "cudc_bench"
 IMPORTED_PROFILE = "imported"  # stands where the profile would, in a dataset that was not collected here
 Source = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,30}[A-Za-z0-9])?$")]
+MIXTURE = "mixture"  # the method of a mixture
+MOST_PARTS = 100  # of one
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -103,11 +105,12 @@ class PartOrigin(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    id: str
+    id: Annotated[str, Field(pattern=r"^[a-z0-9_/-]+-v[0-9]{1,6}$", max_length=500)]
     fingerprint: _Sha256
-    method: str
-    seed: int
-    profile: str
+    # Names of columns, also in records of others.
+    method: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+    seed: Annotated[int, Field(ge=0)]
+    profile: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
     overrides: dict[str, Any] = {}
     hyperparameters: dict[str, Any] = {}
     citation: str = ""
@@ -144,7 +147,7 @@ class Mixture(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    parts: Annotated[list[Part], Field(min_length=2)]
+    parts: Annotated[list[Part], Field(min_length=2, max_length=MOST_PARTS)]
     ignored: list[str] = []
 
     def origin(self, index: int) -> tuple[Part, int]:

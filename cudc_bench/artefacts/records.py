@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from cudc_bench.artefacts.ids import parse_id
-from cudc_bench.artefacts.manifest import PartOrigin, RewardFunction, Source, mixture_label
+from cudc_bench.artefacts.manifest import MOST_PARTS, PartOrigin, RewardFunction, Source, mixture_label
 from cudc_bench.errors import RunError
 from cudc_bench.files import LeftOut, read_limited, unwritable, walk, write_atomically
 from cudc_bench.settings.evaluate_config import BEFORE
@@ -97,7 +97,7 @@ class DatasetReference(Strict):
     source: Source | None = None
     used: Annotated[int, Field(ge=1)] | None = None
     collection: Collection | None = None
-    parts: Annotated[list[PartOrigin], Field(max_length=MOST_SETTINGS)] = []
+    parts: Annotated[list[PartOrigin], Field(max_length=MOST_PARTS)] = []
 
     @model_serializer(mode="wrap")
     def _without_collection(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:

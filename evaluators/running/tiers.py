@@ -41,6 +41,8 @@ from .online import PolicyInteraction, run_online
 from .training import Member, OnlineTraining, names_of
 
 ALGORITHM = "td3"
+# A reference's ten are so far apart that a policy can go from a tenth to all of the final score between two. The training is the same.
+EVALUATIONS = 40
 _POLICIES = ("expert", "medium")  # of which one policy each acts anew
 
 
@@ -158,7 +160,7 @@ def make_tiers(
 
     ``replay`` is all that the training did, random actions of its beginning included; ``medium-replay`` what it did until its policy first
     got more than a third of the final one's score; ``expert`` and ``medium`` are what the final and that policy do. Departs from D4RL:
-    evaluations come at the profile's points, not after every epoch; TD3's policy is deterministic where SAC's is not, so that it acts with
+    evaluations come after every fortieth of the training; TD3's policy is deterministic where SAC's is not, so that it acts with
     the Gaussian noise that the training explored with, without which every state would have one action only; episodes end by time.
     Rewards are those that the simulation gave. Datasets that exist and are of these very trainings are kept. A run that was interrupted is
     continued where its last checkpoint was taken, with the same result as if it had not been.
@@ -190,7 +192,7 @@ def make_tiers(
     execution = Execution.checked(
         device, workers, checkpoint_every, engine=engine, fresh=fresh, overwrite=overwrite, log=log, log_dir=log_dir
     )
-    plan = TiersPlan.checked(domain, tasks, seeds, profile, settings or {}, execution, data_steps=0)
+    plan = TiersPlan.checked(domain, tasks, seeds, profile, settings or {}, execution, {"evaluations": EVALUATIONS}, data_steps=0)
     plan = replace(plan, data_steps=plan.loop.steps if steps is None else steps)
     members = [Member(task, seed) for task in plan.tasks for seed in plan.seeds]
     left = [one for one in members if overwrite or plan.left(one)]

@@ -52,16 +52,16 @@ class OnlineTraining:
     @classmethod
     def checked(
         cls, domain: str, tasks: Sequence[str] | None, seeds: Sequence[int], profile: str, settings: Mapping[str, Any],
-        execution: Execution, **more: Any,
+        execution: Execution, usual: Mapping[str, Any] | None = None, **more: Any,
     ) -> Self:  # fmt: skip
-        """The same as a user asks for it; ``more`` are fields of a subclass.
+        """The same as a user asks for it; ``usual`` wins over the profile, and ``more`` are fields of a subclass.
 
         Raises:
             UsageError: it cannot be.
         """
         chosen, given = resolve_profile(profile), dict(settings)
         check_settings(given, [OnlineConfig, TD3Config])
-        layers = (chosen.collect, chosen.evaluate)
+        layers = (chosen.collect, chosen.evaluate, usual or {})
         loop, config = build(OnlineConfig, *layers, given), TD3.configure(chosen.evaluate, given)
         overrides = changed(as_dict(loop, config), as_dict(build(OnlineConfig, *layers), TD3.configure(chosen.evaluate), later=True))
         check_precision(TD3, "td3", loop.precision, execution.device)

@@ -299,6 +299,11 @@ def test_datasets_that_do_not_go_together_are_refused(change: Callable[[dict[str
         cudc_bench.mix([A, B])
 
 
+def test_what_is_missing_is_not_taken_for_a_collector(datasets: Path) -> None:
+    with pytest.raises(UsageError, match="there is no dataset 'jaco/mixture-smoke-v0'; make it of several: cudc-bench mix"):
+        cudc_bench.evaluate("bc", "jaco", methods=["mixture"], profile="smoke")
+
+
 def test_a_damaged_part_is_not_mixed(made: Path) -> None:
     with h5py.File(made / B / "data" / "main_data.hdf5", "a") as file:
         file["episode_0/observations"][3, 1] += 1e-3
