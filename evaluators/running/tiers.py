@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from cudc_bench.data.metadata import write_metadata
 from cudc_bench.data.staging import building_path, checkpoints_path, publish, staging, tidy
 from cudc_bench.data.writer import Episode, EpisodeShards, write_episodes
 from cudc_bench.envs import check_domain, domain_title
-from cudc_bench.errors import UnusableError, UsageError
+from cudc_bench.errors import RunError, UnusableError, UsageError
 from cudc_bench.execution import CHECKPOINT_EVERY, LOG_DIR, interrupts
 from cudc_bench.execution.checkpoints import Checkpoints
 from cudc_bench.execution.progress import Advance, echo
@@ -287,7 +288,7 @@ def _finish(
     for kind in _POLICIES:
         steps = [_tier(kind, [LearningPoint(step=step, score=score) for step, score in one], best).step
                  for one, best in zip(curves, experts, strict=True)]  # fmt: skip
-        weights = [torch.load(_policies(folder, step), weights_only=True) for step in steps]
+        weights = [_policy_at(folder, step, stack) for step in steps]
         policies[kind] = {name: torch.cat([one[name][place : place + 1] for place, one in enumerate(weights)]) for name in weights[0]}
     found = {
         "seconds": checkpoints.seconds, "engine": engine_of(agent), "curves": curves, "experts": experts, "policies": policies,
@@ -295,6 +296,19 @@ def _finish(
     }  # fmt: skip
     checkpoints.save(stack.plan.loop.steps, {"finished": found})
     return found
+
+
+def _policy_at(folder: Path, step: int, stack: Stack) -> dict[str, Tensor]:
+    """The weights that were kept of all members.
+
+    Raises:
+        RunError: they are gone or damaged.
+    """
+    try:
+        found: dict[str, Tensor] = torch.load(_policies(folder, step), weights_only=True)
+        return found
+    except (OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError):
+        raise RunError(f"the policy at step {step:,} of {stack.name} was not kept whole; start over: cudc-bench tiers --fresh.") from None
 
 
 def _finished(checkpoints: Checkpoints, replays: Sequence[EpisodeShards]) -> dict[str, Any] | None:

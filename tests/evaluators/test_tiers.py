@@ -155,6 +155,20 @@ def test_a_run_that_was_interrupted_ends_the_same(after: int, made_once: Path, d
     assert not list(datasets.rglob(".*"))
 
 
+@pytest.mark.parametrize("change", [lambda path: path.unlink(), lambda path: path.write_bytes(path.read_bytes()[:100])])
+def test_a_policy_that_is_gone_is_missed_in_one_line(change: Callable[[Path], Any], datasets: Path) -> None:
+    def stop(*_: Any) -> None:
+        raise interrupts.interrupted("here")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiers, "_finish", stop)
+        with pytest.raises(interrupts.Interrupted):
+            made()
+    change(next(datasets.rglob("policies/000000000600.pt")))
+    with pytest.raises(RunError, match="the policy at step 600 of the tiers of reach_top_left seed 1 at smoke was not kept whole"):
+        made()
+
+
 def test_what_is_there_is_kept_and_what_is_missing_is_made_again(there: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = {one: read_manifest(one) for one in IDS}
     assert made() == IDS
