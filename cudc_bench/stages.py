@@ -117,7 +117,7 @@ def ensure_collected(
     """
     ids = check_collected(method, domain, seeds, profile=profile)
     for one in ids:
-        if exists(one) and not (manifest := read_manifest(one)).was_collected:
+        if exists(one) and (manifest := read_manifest(one)).holds_others_data:
             echo(f"{one} was not collected here: {manifest.describe()}")
     missing = [seed for seed, one in zip(seeds, ids, strict=True) if not exists(one)]
     if missing:
