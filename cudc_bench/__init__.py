@@ -60,8 +60,8 @@ __all__ = [
 ]
 _STAGES = (
     "collect", "pilot", "import_exorl", "import_minari", "mix", "relabel", "evaluate", "make_references", "make_tiers", "ask_policy",
-    "load_policy", "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality", "compare_datasets", "run_suite",
-    "rerun",
+    "load_policy", "render_policy", "export_policy", "make_leaderboard", "submit", "draw_diagnostics", "measure_quality",
+    "compare_datasets", "run_suite", "rerun",
 )  # fmt: skip
 _DATA = {
     "Transitions": "transitions", "load_transitions": "transitions", "DescriptorCoverage": "descriptors", "coverage": "descriptors",

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.envs import make_simulators
 from cudc_bench.envs.drawing import Drawer, check_camera
 from cudc_bench.envs.video import Frame, check_length, find_ffmpeg, frame_times, write_video
 from cudc_bench.execution.progress import bars, echo
-from cudc_bench.settings.seeding import episode_seed
 
 from ..datasets.pair import Pair, Side
 
@@ -64,21 +62,12 @@ def _scenes(side: Side, times: NDArray[np.int64]) -> list[tuple[int, NDArray[np.
     manifest = side.manifest
     last = manifest.episodes - 1
     wanted = (0, last // 2, last)
-    found = {
-        index: episode["infos/physics"]
-        for index, episode in enumerate(read_episodes(side.quality.id, ("infos/physics",)))
-        if index in wanted
-    }
     scenes = []
-    for index in wanted:
-        states = found[index]
+    for index, episode in zip(wanted, read_episodes(side.quality.id, ("infos/physics",), episodes=wanted), strict=True):
+        states = episode["infos/physics"]
         start = max(0, (len(states) - 1 - int(times[-1])) // 2)
-        scenes.append((_seed(manifest, index), states[np.minimum(start + times, len(states) - 1)]))
+        scenes.append((manifest.episode_seed(index) or 0, states[np.minimum(start + times, len(states) - 1)]))
     return scenes
-
-
-def _seed(manifest: Manifest, episode: int) -> int:
-    return episode_seed(manifest.seed, "environment", episode) if manifest.has_episode_seeds else 0
 
 
 def _beside(left: Frame, right: Frame) -> Frame:
