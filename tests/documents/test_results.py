@@ -208,6 +208,23 @@ def test_how_far_from_convergence_the_trainings_are(section: str) -> None:
     )
 
 
+def test_what_learners_without_rewards_reach_is_what_the_records_say() -> None:
+    found = make_leaderboard(ROOT / "studies" / "zero-shot", output=None)
+    assert not found.problems
+    rows: dict[str, list[Any]] = {}
+    for table in found.tables:
+        bounds = [table.references[task] for task in TASKS]
+        rows["random actions"] = [one.floor for one in bounds]
+        name = "`td3`, trained on each task" if table.algorithm == "td3" else f"`{table.algorithm}`"
+        scores = {(one.dataset.method, one.dataset.seed, one.dataset.task): one.score(50_000) for one in table.records}
+        rows[name] = [scores["rnd", 1, task] for task in TASKS]
+    text = (ROOT / "docs" / "how-to" / "zero-shot.md").read_text()
+    shown = text.split("## What to expect of small runs")[1].split("(`cudc-bench")[0]
+    lines = {line for line in shown.splitlines() if line.startswith("|")}
+    assert len(rows) == len(lines) - 2 == 7
+    assert {f"| {name} | {' | '.join(f'{value:.0f}' for value in row)} |" for name, row in rows.items()} < lines
+
+
 def listed(numbers: Iterable[str]) -> str:
     *others, last = numbers
     return f"{', '.join(others)} and {last}"
