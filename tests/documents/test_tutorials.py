@@ -180,6 +180,7 @@ def test_what_looks_at_results_looks(
     page: str, here: Callable[..., str], follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path
 ) -> None:
     here("evaluate", "--algo", "td3", "--task", "walk")
+    here("collect", "--method", "random")
     follow(page)
     assert page.endswith("verify.md") or list((tmp_path / "report").iterdir())
 
