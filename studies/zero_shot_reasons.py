@@ -82,6 +82,6 @@ def one_step(dataset: str) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    kind, *rest = sys.argv[1:]
-    for one in rest:
-        embeddings(Path(one)) if kind == "embeddings" else one_step(one)
+    show = {"embeddings": lambda one: embeddings(Path(one)), "one-step": one_step}[sys.argv[1]]
+    for one in sys.argv[2:]:
+        show(one)

@@ -40,8 +40,8 @@ class Profile:
 
 PAPER_STEPS = 1_000_000  # environment steps of a dataset
 _SMALL = {"width": 128, "batch_size": 128, "learning_rate": 1e-3}
-# Of evaluators that embed states. The second moments of 128 embeddings say too little in the 50 dimensions of the papers, whose
-# minibatches have 1,024: learners without rewards stay at the floor (docs/how-to/zero-shot.md has the figures).
+# Of evaluators that embed states. With the papers' 50 dimensions, which go with minibatches of 1,024, FB stays near the floor at this
+# size (docs/how-to/zero-shot.md has the figures).
 _EMBEDDING = {"feature_width": 64, "state_dim": 64, "z_dim": 16}
 
 
