@@ -46,6 +46,7 @@ class APS(DDPG):
     """
 
     config_class: ClassVar[type] = APSConfig
+    category = "competence"
     family = "competence and entropy"
     citation = "Liu and Abbeel 2021"
     paper = "https://arxiv.org/abs/2108.13956"

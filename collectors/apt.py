@@ -40,6 +40,7 @@ class APT(DDPG):
     """
 
     config_class: ClassVar[type] = APTConfig
+    category = "data"
     family = "entropy"
     citation = "Liu and Abbeel 2021"
     paper = "https://arxiv.org/abs/2103.04551"

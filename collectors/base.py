@@ -44,12 +44,14 @@ class Collector(MemberStack):
     Class attributes, beside those of every stack:
         domain_values: hyperparameters that the method's paper sets per domain; ``values`` win over them.
         ignored_by_pilot: hyperparameters that have no effect while a pilot runs (see ``measured_by_pilot``).
+        category: one of ``CATEGORIES`` of :mod:`cudc_bench.settings.described`, by which lists of methods are grouped.
         family: how it explores, for lists and tables.
         learns: False if ``update`` never has anything to do.
     """
 
     domain_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     ignored_by_pilot: ClassVar[frozenset[str]] = frozenset()
+    category: ClassVar[str] = "other"
     family: ClassVar[str]
     learns: ClassVar[bool] = True
 

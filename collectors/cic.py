@@ -52,6 +52,7 @@ class CIC(DDPG):
     """
 
     config_class: ClassVar[type] = CICConfig
+    category = "competence"
     family = "competence and entropy"
     citation = "Laskin et al. 2022"
     paper = "https://arxiv.org/abs/2202.00161"

@@ -40,6 +40,7 @@ from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updater
 from cudc_bench.learning.networks import MemberRandom
 from cudc_bench.learning.replay import Batch, Episodes
 from cudc_bench.settings.collect_config import CollectConfig
+from cudc_bench.settings.described import CATEGORIES
 
 from .base import Collector, Sizes
 from .ddpg import DDPG
@@ -264,6 +265,7 @@ class CollectorContract:
         kind = plugins.load("collectors", name)
         for attribute in ("family", "citation"):
             assert isinstance(getattr(kind, attribute, None), str), f"the class must say its {attribute}, a text, for lists and tables"
+        assert kind.category in CATEGORIES, f"category is {kind.category!r}; allowed: {', '.join(CATEGORIES)}"
         parameters = getattr(kind.config_class, "__dataclass_params__", None)
         # A manifest states the hyperparameters, so nothing may change them on the way.
         assert parameters is not None and parameters.frozen, "config_class must be a dataclass(frozen=True)"  # noqa: PT018

@@ -42,6 +42,7 @@ class CTeC(DDPG):
     """
 
     config_class: ClassVar[type] = CTeCConfig
+    category = "knowledge"
     family = "reachability"
     citation = "Mohamed et al. 2026"
     paper = "https://arxiv.org/abs/2603.02008"

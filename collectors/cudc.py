@@ -183,6 +183,7 @@ class CUDC(MovingHorizon):
         "quadruped": {"alpha": 1e-4, "beta": 1e-2, "clip_low": 0.2, "clip_high": 1.0, "c_w": 0.02},
         "jaco": {"alpha": 100.0, "beta": 0.0, "clip_low": 0.9, "clip_high": 1.0, "c_w": 0.01},
     }
+    category = "knowledge"
     family = "curiosity and entropy"
     citation = "Sun, Qian, Miao 2024"
     paper = "https://arxiv.org/abs/2312.12191"

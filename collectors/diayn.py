@@ -53,6 +53,7 @@ class DIAYN(OneHotSkills):
     """
 
     config_class: ClassVar[type] = DIAYNConfig
+    category = "competence"
     family = "competence"
     citation = "Eysenbach et al. 2018"
     paper = "https://arxiv.org/abs/1802.06070"

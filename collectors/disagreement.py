@@ -34,6 +34,7 @@ class Disagreement(DDPG):
     """
 
     config_class: ClassVar[type] = DisagreementConfig
+    category = "knowledge"
     family = "uncertainty"
     citation = "Pathak et al. 2019"
     paper = "https://arxiv.org/abs/1906.04161"

@@ -34,6 +34,7 @@ class ICM(DDPG):
     """
 
     config_class: ClassVar[type] = ICMConfig
+    category = "knowledge"
     family = "curiosity"
     citation = "Pathak et al. 2017"
     paper = "https://arxiv.org/abs/1705.05363"

@@ -51,6 +51,7 @@ class METRA(DDPG):
     """
 
     config_class: ClassVar[type] = METRAConfig
+    category = "competence"
     family = "competence"
     citation = "Park et al. 2024"
     paper = "https://arxiv.org/abs/2310.08887"

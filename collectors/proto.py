@@ -51,6 +51,7 @@ class Proto(DDPG):
     """
 
     config_class: ClassVar[type] = ProtoConfig
+    category = "data"
     family = "entropy"
     citation = "Yarats et al. 2021"
     paper = "https://arxiv.org/abs/2102.11271"

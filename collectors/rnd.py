@@ -41,6 +41,7 @@ class RND(DDPG):
     """
 
     config_class: ClassVar[type] = RNDConfig
+    category = "knowledge"
     family = "novelty"
     citation = "Burda et al. 2018"
     paper = "https://arxiv.org/abs/1810.12894"

@@ -52,6 +52,7 @@ class SMM(OneHotSkills):
     """
 
     config_class: ClassVar[type] = SMMConfig
+    category = "competence"
     family = "density"
     citation = "Lee et al. 2019"
     paper = "https://arxiv.org/abs/1906.05274"

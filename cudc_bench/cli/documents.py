@@ -42,6 +42,7 @@ class ListedMethod(Document):
     Attributes:
         name: as on the command line.
         what: how it explores, or what it is in a few words.
+        category: of a collector: knowledge, data or competence, as URLB has them, or other; null for an offline algorithm.
         citation: the paper.
         same_as: the name that stands for the same class, and comes first; null for most.
         package: the distribution that registers it, with its version.
@@ -49,6 +50,7 @@ class ListedMethod(Document):
 
     name: str
     what: str
+    category: str | None = None
     citation: str
     same_as: str | None = None
     package: str

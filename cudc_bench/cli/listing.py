@@ -200,8 +200,11 @@ def _methods(stage: str, broken: list[str]) -> list[ListedMethod]:
             continue
         same = first.setdefault(one.target, name)
         found.append(
-            ListedMethod(name=name, what=one.what, citation=one.citation, same_as=None if same == name else same, package=one.package)
-        )
+            ListedMethod(
+                name=name, what=one.what, category=one.category or None, citation=one.citation, same_as=None if same == name else same,
+                package=one.package,
+            )
+        )  # fmt: skip
     return found
 
 
@@ -295,8 +298,15 @@ def _tables(found: Listing) -> Iterator[Table]:
     from cudc_bench.envs.domains import SUITE
 
     def methods(title: str, what: str, listed: Sequence[ListedMethod]) -> Table:
-        rows = [row(one.name, f"the same as {one.same_as}" if one.same_as else one.what, one.citation) for one in listed]
-        columns = (Column("name"), Column(what, prose=True), Column("citation", prose=True))
+        grouped = any(one.category for one in listed)
+        rows = [
+            row(
+                one.name, *([one.category or ""] if grouped else []), f"the same as {one.same_as}" if one.same_as else one.what,
+                one.citation,
+            )
+            for one in listed
+        ]  # fmt: skip
+        columns = (Column("name"), *([Column("category")] if grouped else []), Column(what, prose=True), Column("citation", prose=True))
         return Table(columns, tuple(rows), title, shortens=False)
 
     if found.methods is not None:

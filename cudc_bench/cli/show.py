@@ -112,6 +112,7 @@ def _method(stage: str, name: str) -> Iterator[Paragraph]:
     yield from _facts(
         {
             "explores by" if stage == "collectors" else "is": found.what,
+            "category": found.category,
             "from": found.citation,
             "package": found.package,
             "class": found.target,

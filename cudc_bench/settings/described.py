@@ -25,6 +25,13 @@ from cudc_bench.settings.config import as_dict, build
 from cudc_bench.settings.evaluate_config import EvaluateConfig, profile_values
 from cudc_bench.settings.profiles import PROFILES, Profile, schedules
 
+# Of collectors, in the order of lists: the three of URLB (Laskin et al. 2021), by what a method rewards, and one for all others.
+CATEGORIES = {
+    "knowledge": "what its models cannot tell yet: their errors, or how far several disagree",
+    "data": "states that are spread widely: their entropy",
+    "competence": "skills: what an agent does follows from a vector that it is given",
+    "other": "none of these",
+}
 _LARGEST = 10**10  # of a whole number: beyond any run (see ``cudc_bench.settings.config``)
 _WORDS = {"integer": "integer", "number": "float", "string": "string", "boolean": "boolean"}
 _SECTIONS = re.compile(r"^(?:Attributes|Class attributes|Args|Raises|Returns|Yields):$", flags=re.MULTILINE)
@@ -57,6 +64,7 @@ class Method:
         name: as on the command line.
         stage: ``"collectors"`` or ``"evaluators"``.
         what: how it explores, or what it is in a few words.
+        category: of a collector, one of :data:`CATEGORIES`; empty for an offline algorithm.
         citation: the paper.
         text: its class's docstring, without the sections on attributes and arguments.
         package: the distribution that registers it, with its version.
@@ -69,6 +77,7 @@ class Method:
     name: str
     stage: str
     what: str
+    category: str
     citation: str
     text: str
     package: str
@@ -117,7 +126,7 @@ def describe(stage: str, name: str) -> Method:
     module, target = plugins.target(stage, name)
     package = " ".join(f"{one} {version}" for one, version in plugins.package(stage, name).items())
     said = "family" if stage == "collectors" else "summary"
-    wanted = (said, "citation", "config_class", "values", "domain_values")
+    wanted = (said, "category", "citation", "config_class", "values", "domain_values")
     if plugins.is_own(stage, name) and sources.tree(module) is not None:  # an installation may have no sources
         found = {one: sources.attribute(module, target, one) for one in wanted}
         text = next(filter(None, (ast.get_docstring(one.node) for one in sources.ancestry(module, target))), "")
@@ -130,9 +139,14 @@ def describe(stage: str, name: str) -> Method:
         if not (isinstance(found["config_class"], type) and dataclasses.is_dataclass(found["config_class"])):
             raise plugins.unusable(stage, name, "its config_class is no dataclass")
     return Method(
-        name, stage, found[said], found["citation"], prose(text), package, f"{module}:{target}", found["config_class"],
+        name, stage, found[said], category_of(found["category"]) if stage == "collectors" else "", found["citation"], prose(text), package, f"{module}:{target}", found["config_class"],
         found["values"] or {}, found["domain_values"] or {},
     )  # fmt: skip
+
+
+def category_of(value: object) -> str:
+    """What a class says of its category, which may be anybody's; whatever is none is ``"other"``."""
+    return value if isinstance(value, str) and value in CATEGORIES else "other"
 
 
 # Hyperparameters

@@ -37,6 +37,7 @@ class RE3(DDPG):
     """
 
     config_class: ClassVar[type] = RE3Config
+    category = "data"
     family = "entropy"
     citation = "Seo et al. 2021"
 
