@@ -168,7 +168,8 @@ def departures(kind: str) -> str:
         module = inspect.getmodule(one)
         assert module is not None
         path = module.__name__.removeprefix("cudc_bench.").replace(".", "/")
-        parts.append(f"### {', '.join(f'`{name}`' for name in names)}\n\n{prose(one)}\n\n{one.citation}; `{path}.py`\n")
+        grouped = f"category {one.category}; " if kind == "collectors" else ""
+        parts.append(f"### {', '.join(f'`{name}`' for name in names)}\n\n{prose(one)}\n\n{grouped}{one.citation}; `{path}.py`\n")
     return "\n".join(parts)
 
 

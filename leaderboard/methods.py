@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-METHOD_ORDER = ("random", "icm", "apt", "proto", "aps", "cudc")  # in tables and figures: the paper's; others follow by name
+# In tables and figures: the paper's as there, then our others by their categories; all else follows by name.
+METHOD_ORDER = (
+    "random", "icm", "apt", "proto", "aps", "cudc",
+    "ctec", "disagreement", "rnd",
+    "be",
+    "cic", "diayn", "metra", "moss", "smm",
+)  # fmt: skip
 BASELINES = ("icm", "apt", "cudc")  # of studies: methods that main tables have, too
 LEARNER_ORDER = ("td3", "cql")  # of offline algorithms: the paper's
 # Of CUDC's diagnostics.

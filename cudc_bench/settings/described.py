@@ -25,12 +25,12 @@ from cudc_bench.settings.config import as_dict, build
 from cudc_bench.settings.evaluate_config import EvaluateConfig, profile_values
 from cudc_bench.settings.profiles import PROFILES, Profile, schedules
 
-# Of collectors, in the order of lists: the three of URLB (Laskin et al. 2021), by what a method rewards, and one for all others.
+# Of collectors, in the order of lists, and what those of each do: URLB's three (Laskin et al. 2021), and one for all others.
 CATEGORIES = {
-    "knowledge": "what its models cannot tell yet: their errors, or how far several disagree",
-    "data": "states that are spread widely: their entropy",
-    "competence": "skills: what an agent does follows from a vector that it is given",
-    "other": "none of these",
+    "knowledge": "reward what their models cannot tell yet: errors, or how far several disagree",
+    "data": "reward states that are spread widely: their entropy",
+    "competence": "learn skills: what an agent does follows from a vector that it is given",
+    "other": "do none of these, or do not say which",
 }
 _LARGEST = 10**10  # of a whole number: beyond any run (see ``cudc_bench.settings.config``)
 _WORDS = {"integer": "integer", "number": "float", "string": "string", "boolean": "boolean"}
@@ -138,8 +138,9 @@ def describe(stage: str, name: str) -> Method:
         found, text = {one: getattr(kind, one, None) for one in wanted}, inspect.getdoc(kind) or ""
         if not (isinstance(found["config_class"], type) and dataclasses.is_dataclass(found["config_class"])):
             raise plugins.unusable(stage, name, "its config_class is no dataclass")
+    category = category_of(found["category"]) if stage == "collectors" else ""
     return Method(
-        name, stage, found[said], category_of(found["category"]) if stage == "collectors" else "", found["citation"], prose(text), package, f"{module}:{target}", found["config_class"],
+        name, stage, found[said], category, found["citation"], prose(text), package, f"{module}:{target}", found["config_class"],
         found["values"] or {}, found["domain_values"] or {},
     )  # fmt: skip
 

@@ -33,8 +33,13 @@ def column(record: Record) -> str:
 
 def is_own(record: Record) -> bool:
     """Whether it was collected and trained here, so that more of its kind can be asked for."""
+    return was_collected(record) and record.submission is None
+
+
+def was_collected(record: Record) -> bool:
+    """Whether a collector of this project, or one that is plugged into it, made its dataset, here or elsewhere."""
     data = record.dataset
-    return data.source is None and not data.parts and data.method not in TIERS and record.submission is None
+    return data.source is None and not data.parts and data.method not in TIERS
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,19 @@ from cudc_bench.artefacts.records import Record
 from cudc_bench.data.card import facts_of
 from cudc_bench.envs.domains import DOMAINS
 from cudc_bench.envs.layouts import observation_layout
+from cudc_bench.settings.described import CATEGORIES
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local
 from ..methods import styles
-from ..numbers.columns import column
+from ..numbers.columns import column, was_collected
 from ..numbers.overall import LEAD, NAMES
 from ..numbers.scale import CEILING, FLOOR
 from ..numbers.statistics import student
 from ..numbers.table import Table
-from ..numbers.words import short
+from ..numbers.words import short, span
 from .figures import collection, density
-from .methods import describe
+from .methods import Method, describe
 from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section
 from .parts import (
     BEST_TEST,
@@ -48,6 +49,15 @@ _ALTS = {
     "losses": "Losses of the collector over environment steps.",
     "representation": "What shows whether the collector's representation collapses, over environment steps.",
 }
+# Sections of the methods' page, in its order: collectors by category, and what no collector made.
+_NOT_COLLECTED = "not collected"
+_GROUPS = {
+    "knowledge": "Knowledge-based", "data": "Data-based", "competence": "Competence-based", "other": "Other collectors",
+    _NOT_COLLECTED: "Mixtures, tiers and imported data",
+}  # fmt: skip
+_LEADS = {name: f"Collectors that {what}." for name, what in CATEGORIES.items()} | {
+    _NOT_COLLECTED: "Equal parts of several datasets, what online trainings on a task did, and what others collected.",
+}
 
 
 class Catalogue(Parts):
@@ -55,31 +65,41 @@ class Catalogue(Parts):
 
     def methods_page(self) -> Page:
         """The list of methods."""
-        lines = []
+        groups: dict[str, list[Row]] = {name: [] for name in _GROUPS}
         counts: Counter[str] = Counter(column(record) for table in self.site.every_table for record in table.records)
         sets: Counter[str] = Counter(dataset.method for dataset in self.site.datasets)
         for method in self.site.methods:
-            known = describe(self._registered(method))
+            known, group = self._about(method)
             paper = Item(known.citation or MISSING, link=known.paper or None)
-            lines.append(Row(self.name(method), (Item(known.family or MISSING), paper, count(sets[method]), count(counts[method]))))
+            groups[group].append(Row(self.name(method), (Item(known.family or MISSING), paper, count(sets[method]), count(counts[method]))))
         columns = (Heading("explores by", number=False), Heading("from", number=False), Heading("datasets"), Heading("runs"))
-        grid = HtmlTable("Methods with results", "method", columns, tuple(lines), filters="methods")
-        return Page("methods/index.html", "Methods", (("Overview", "index.html"),), (), (), (Section("All methods", grids=(grid,)),))
+        sections = tuple(
+            Section(
+                _GROUPS[name], lead=_LEADS[name],
+                grids=(HtmlTable(f"{_GROUPS[name]}: {span([len(lines)], 'method')}", "method", columns, tuple(lines), filters="methods"),),
+            )
+            for name, lines in groups.items() if lines
+        )  # fmt: skip
+        lead = ("All that has results here, by the categories of the Unsupervised RL Benchmark (Laskin et al. 2021).",)
+        return Page("methods/index.html", "Methods", (("Overview", "index.html"),), lead, (), sections)
 
-    def _registered(self, method: str) -> str:
-        """The name under which a column's method may be registered."""
-        return next(r.dataset.method for table in self.site.every_table for r in table.records if column(r) == method)
+    def _about(self, method: str) -> tuple[Method, str]:
+        """What is known of a column's method, and which of the groups it is of; any of its records tells."""
+        one = next(one for table in self.site.every_table for one in table.records if column(one) == method)
+        known = describe(one.dataset.method)
+        return known, known.category if was_collected(one) else _NOT_COLLECTED
 
     def method(self, method: str) -> Page:
         """The page of a method."""
-        known = describe(self._registered(method))
+        known, group = self._about(method)
         records = [record for table in self.site.every_table for record in table.records if column(record) == method]
         origins = ", ".join(sorted({origin(record) for record in records}))
         facts = [(name, Item(text, link=link)) for name, text, link in (
-            ("explores by", known.family, None), ("from", known.citation, known.paper or None), ("registered by", known.package, None),
-            ("data", origins, None),
+            ("group", _GROUPS[group], None), ("explores by", known.family, None), ("from", known.citation, known.paper or None),
+            ("registered by", known.package, None), ("data", origins, None),
         ) if text]  # fmt: skip
-        text = known.text or ("Nothing more is known of it here: no collector of this name is installed, or its source cannot be read.",)
+        unknown = "Nothing more is known of it here: no collector of this name is installed, or its source cannot be read."
+        text = known.text or (_LEADS[group] if group == _NOT_COLLECTED else unknown,)
         sections = [Section("What it is", prose=text, facts=tuple(facts))]
         for board in self.site.boards:
             if not any(method in table.methods for table in (*board.tables, *board.hidden)):

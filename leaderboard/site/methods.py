@@ -10,6 +10,7 @@ from functools import cache
 
 from cudc_bench import plugins
 from cudc_bench.errors import CudcBenchError
+from cudc_bench.settings.described import category_of
 from cudc_bench.settings.sources import ancestry
 
 _ADDRESS = re.compile(r"https://[a-zA-Z0-9./_~%?=&+:-]{1,300}")
@@ -25,6 +26,7 @@ class Method:
         paper: where that can be read; empty where the class that names the citation does not say, or says no such address.
         text: paragraphs of its docstring, without the sections on arguments and attributes.
         package: the distribution that registers it, with its version; empty if none does here.
+        category: one of :data:`~cudc_bench.settings.described.CATEGORIES`.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Method:
     paper: str = ""
     text: tuple[str, ...] = ()
     package: str = ""
+    category: str = "other"
 
     @property
     def known(self) -> bool:
@@ -62,7 +65,7 @@ def describe(name: str) -> Method:
     paper = values.get("paper", "")
     return Method(
         name, values.get("family", ""), values.get("citation", ""), paper if _ADDRESS.fullmatch(paper) else "", paragraphs,
-        package or module,
+        package or module, category_of(values.get("category")),
     )  # fmt: skip
 
 

@@ -38,7 +38,9 @@ def test_a_script_gets_all_that_there_is_and_nothing_else(here: Callable, smoke:
     found = document(here)
     assert [one["name"] for one in found["methods"]] == plugins.names("collectors")
     assert {one["name"]: one["same_as"] for one in found["methods"]}["cudc-stopgrad"] == "cudc"
+    assert {one["name"]: one["category"] for one in found["methods"]}["cic"] == "competence"
     assert [one["name"] for one in found["algorithms"]] == plugins.names("evaluators")
+    assert {one["category"] for one in found["algorithms"]} == {None}
     assert found["domains"][0]["tasks"] == list(TASKS)
     assert found["records"] == {"folder": "results", "records": 0, "references": 0}
     assert found["unfinished"] == [{"id": "walker/icm-v0", "holder": None, "step": None, "bytes": 5}]

@@ -153,6 +153,12 @@ class Overshoots(RND):
         return super().act(observation, explore) + 2
 
 
+class Invents(RND):
+    """A category that no list has."""
+
+    category = "secret"
+
+
 @pytest.mark.parametrize(
     ("kind", "test", "arguments", "expected"),
     [
@@ -163,6 +169,7 @@ class Overshoots(RND):
         (Forgets, "test_a_restored_state_continues_identically", (), "all random numbers must come"),
         (Forgets, "test_a_run_that_was_interrupted_ends_as_if_it_had_not_been", (Path,), "must be a registered buffer"),
         (Shrinks, "test_the_representation_does_not_collapse", (), "as much as at the start|directions"),
+        (Invents, "test_says_what_it_is", (), "category is 'secret'; allowed: knowledge, data, competence, other"),
         (Overshoots, "test_acts_deterministically_when_told_and_explores_otherwise", (), r"within \[-1, 1\]"),
         (Overshoots, "test_builds_updates_and_acts_in_every_domain", ("walker", 1), r"within \[-1, 1\]"),
     ],

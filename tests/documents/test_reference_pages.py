@@ -98,6 +98,12 @@ def test_every_hyperparameter_of_every_method_is_shown() -> None:
         assert [f.name for one in generate.configurations(kind) for f in dataclasses.fields(one) if f"| `{f.name}` |" not in text] == []
 
 
+def test_the_category_of_every_collector_is_its_class_s() -> None:
+    shown = dict(re.findall(r"^\| `([a-z]+)` \| (\w+) \|", (ROOT / "docs/reference/methods.md").read_text(), re.MULTILINE))
+    own = {name for name in plugins.names("collectors") if plugins.is_own("collectors", name) and "-" not in name}
+    assert shown == {name: plugins.load("collectors", name).category for name in own}
+
+
 def test_every_field_of_every_file_has_a_meaning() -> None:
     for model in (Manifest, Record, Reference):
         for one in models(model, set()):

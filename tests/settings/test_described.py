@@ -22,7 +22,7 @@ METHODS = [(stage, name) for stage in ("collectors", "evaluators") for name in p
 def test_a_method_that_is_read_is_the_class_that_is_imported(stage: str, name: str) -> None:
     found, kind = describe(stage, name), plugins.load(stage, name)
     assert (found.citation, found.values) == (kind.citation, kind.values)
-    assert found.what == (kind.family if stage == "collectors" else kind.summary)
+    assert (found.what, found.category) == ((kind.family, kind.category) if stage == "collectors" else (kind.summary, ""))
     assert found.domain_values == getattr(kind, "domain_values", {})
     assert found.target == f"{kind.__module__}:{kind.__name__}"
     assert " ".join(found.text.split()) in " ".join((kind.__doc__ or "").split())

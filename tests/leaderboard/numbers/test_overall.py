@@ -22,7 +22,7 @@ from rich.console import Console
 
 from cudc_bench.artefacts.records import Record
 from cudc_bench.envs.domains import DOMAINS
-from cudc_bench.leaderboard.methods import METHOD_ORDER
+from cudc_bench.leaderboard.methods import COLOURS
 from cudc_bench.leaderboard.numbers import statistics
 from cudc_bench.leaderboard.numbers.overall import ALL, THRESHOLDS, Overall, build_overall
 from cudc_bench.leaderboard.numbers.statistics import Interval
@@ -359,7 +359,7 @@ def drawn_texts(figure: Figure) -> list[tuple[str, Bbox]]:
 
 
 def test_figures_of_twelve_methods_have_no_text_upon_another(runs: Callable) -> None:
-    methods = [*METHOD_ORDER, "cic", "diayn", "disagreement", "cudc-no-regularize", "proto_of_somebody_else_with_a_long_name", "be"]
+    methods = [*COLOURS, "cic", "diayn", "disagreement", "cudc-no-regularize", "proto_of_somebody_else_with_a_long_name", "be"]
     overall = only([record for i, method in enumerate(methods) for record in runs(method, level=0.2 + 0.004 * i)])
     with style.context(_STYLE, after_reset=True):
         for draw in (draw_intervals, draw_profiles, draw_ranks):

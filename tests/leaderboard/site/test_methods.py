@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from cudc_bench import plugins
+from cudc_bench.artefacts.manifest import Collected, PartOrigin
+from cudc_bench.artefacts.records import Record
+from cudc_bench.leaderboard.methods import METHOD_ORDER, canonical
+from cudc_bench.leaderboard.numbers.table import build_tables
+from cudc_bench.leaderboard.site.catalogue import Catalogue
 from cudc_bench.leaderboard.site.methods import describe
+from cudc_bench.leaderboard.site.parts import Site
 from cudc_bench.settings import sources
+from cudc_bench.settings.described import CATEGORIES
+from cudc_bench.suites.definition import load_suite
 
 Install = Callable[[str, str], None]
 
@@ -46,7 +54,7 @@ def forget() -> None:
 def test_every_collector_is_described_as_its_class_is(name: str) -> None:
     kind = plugins.load("collectors", name)
     found = describe(name)
-    assert (found.family, found.citation) == (kind.family, kind.citation)
+    assert (found.family, found.citation, found.category) == (kind.family, kind.citation, kind.category)
     assert found.package.startswith("cudc-bench ")
     assert " ".join(found.text[0].split()) in " ".join(kind.__doc__.split())
 
@@ -97,6 +105,60 @@ def test_a_source_that_tells_nothing_is_no_failure(install: Install, target: str
     found = describe("theirs")
     assert (found.family, found.citation, found.text) == ("", "", ())
     assert found.package == "their-package 1.2"
+
+
+def headings(records: list[Record]) -> dict[str, list[str]]:
+    """The methods under each heading of their page."""
+    page = Catalogue(Site(build_tables(records)[0], [])).methods_page()
+    return {one.title: [line.head.text for grid in one.grids for line in grid.lines] for one in page.sections}
+
+
+def test_methods_stand_under_their_categories(make_record: Callable[..., Record]) -> None:
+    names = ("smm", "apt", "cudc", "be", "rnd", "random", "icm", "aps", "nobody")
+    part = PartOrigin(
+        id="walker/rnd-v0", fingerprint="b" * 64, method="rnd", seed=1, profile="cpu", overrides={}, hyperparameters={}, citation="",
+        collected=Collected(versions={}, machine={}),
+    )  # fmt: skip
+    records = [make_record(name) for name in names] + [
+        make_record("proto", dataset_source="ExORL", dataset_profile="imported"),
+        make_record("mixture", dataset_parts=[part, part.model_copy(update={"method": "cudc"})]),
+        make_record("medium-replay"),
+    ]
+    assert headings(records) == {
+        "Knowledge-based": ["icm", "cudc", "rnd"],
+        "Data-based": ["apt", "be"],
+        "Competence-based": ["aps", "smm"],
+        "Other collectors": ["random", "nobody"],
+        "Mixtures, tiers and imported data": ["medium-replay", "mixture (cudc, rnd)", "proto (ExORL, 400K)"],
+    }
+    assert list(headings([make_record("apt")])) == ["Data-based"]
+
+
+@pytest.mark.parametrize(
+    ("base", "says", "heading"),
+    [
+        ("ddpg import DDPG", "", "Other collectors"),
+        ("ddpg import DDPG", "category = 'competence'", "Competence-based"),
+        ("ddpg import DDPG", "category = 'secret'", "Other collectors"),
+        ("apt import APT", "", "Data-based"),
+        ("apt import APT", "category: str = 'other'", "Other collectors"),
+    ],
+)
+def test_a_third_partys_category_is_what_its_class_says(
+    base: str, says: str, heading: str, install: Install, make_record: Callable[..., Record]
+) -> None:
+    name = base.split()[-1]
+    install("their_package.method:Theirs", f"from cudc_bench.collectors.{base}\nclass Theirs({name}):\n    family = 'x'\n    {says}\n")
+    assert headings([make_record("theirs")]) == {heading: ["theirs"]}
+
+
+def test_methods_are_ordered_by_category_behind_the_papers() -> None:
+    papers = load_suite("main").studies[0].methods
+    assert METHOD_ORDER[: len(papers)] == papers
+    own = [name for name in plugins.names("collectors") if not plugins.target("collectors", name)[0].endswith(".variants")]
+    assert set(METHOD_ORDER) == {name for name in own if canonical(name) == name}
+    later = METHOD_ORDER[len(papers) :]
+    assert list(later) == sorted(later, key=lambda name: (list(CATEGORIES).index(describe(name).category), name))
 
 
 def test_nothing_is_known_of_a_method_that_is_not_installed() -> None:
