@@ -11,7 +11,7 @@ from cudc_bench.errors import RunError, UsageError
 from cudc_bench.files import check_folder, check_path
 
 from .datasets.diagnostics import DiagnosticsReport, compare_stored
-from .datasets.pair import Pair, compare_pair
+from .datasets.pair import SUMMARY, Pair, compare_pair
 from .datasets.quality import QualityReport, measure_stored
 from .intake.load import Loaded, kept_from_collector, load_records
 from .intake.select import only
@@ -153,7 +153,7 @@ def compare_datasets(
 
     ``<output>/<both ids>.pair/`` gets ``quality.md`` and ``quality.csv`` as ``stats`` writes them, ``map``, ``density`` and ``spectra`` as
     ``.svg`` and ``.pdf``, and ``film.mp4`` (a GIF where there is no ffmpeg): the first, the middle and the last episode of each, the first
-    dataset on the left. Where nothing can draw, a remark says so.
+    dataset on the left. Where nothing can draw, a remark says so. By ``pair.json`` the next leaderboard in that folder has a page of them.
 
     Args:
         first, second: ids of two datasets that hold physics states.
@@ -173,7 +173,9 @@ def compare_datasets(
         return PairReport(pair, [], [])
     place = folder / pair.slug
     table = pair.table
-    files = write_files(place, {"quality.md": markdown.of_quality(table), "quality.csv": csv.of_quality(table), **pair_files(pair)})
+    summary = pair.summary.model_dump_json(indent=1) + "\n"
+    texts = {"quality.md": markdown.of_quality(table), "quality.csv": csv.of_quality(table), SUMMARY: summary}
+    files = write_files(place, {**texts, **pair_files(pair)})
     remarks = []
     if seconds:
         try:

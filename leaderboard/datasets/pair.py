@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.envs import Domain, check_domain, make_simulators
@@ -17,8 +19,53 @@ from cudc_bench.text import plain
 from .diagnostics import group_of
 from .quality import Float32, Float64, Quality, QualityTable, measurable, measure, particle_entropies
 
+SUMMARY = "pair.json"  # in the folder of a pair
 _BINS = 40  # of a quantity without bins of its own, over what both datasets have of it
 _WINDOW = 256  # actions of each piece whose spectrum is taken, or those of an episode where it is shorter
+
+
+class SideSummary(BaseModel):
+    """One of the two datasets, in a few words.
+
+    Attributes:
+        id, fingerprint, method, seed, steps: which.
+        rewards: what its states are worth to each task, mean over steps.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    id: Annotated[str, Field(pattern=r"^[a-z0-9_/-]+-v[0-9]{1,6}$", max_length=500)]
+    fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    method: str
+    seed: Annotated[int, Field(ge=0)]
+    steps: Annotated[int, Field(ge=1)]
+    rewards: dict[str, float]
+
+
+class PairSummary(BaseModel):
+    """What is kept of a pair beside its figures, by which the site knows them.
+
+    Attributes:
+        quantities: of the map.
+        shared: as in :class:`Pair`.
+        sides: the first and the second.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    quantities: tuple[str, str]
+    shared: float
+    sides: tuple[SideSummary, SideSummary]
+
+    @property
+    def slug(self) -> str:
+        """The name of their folder; other pairs have another, since no id has a full stop."""
+        return ".".join([*(side.id.replace("/", ".") for side in self.sides), "pair"])
+
+    @property
+    def title(self) -> str:
+        """Both by name."""
+        return " beside ".join(side.id for side in self.sides)
 
 
 @dataclass(frozen=True)
@@ -87,9 +134,21 @@ class Pair:
         return QualityTable(plain(" and ".join(groups)), plain(self.domain.name), self.domain.tasks, self.slug, tuple(methods), measured)
 
     @property
+    def summary(self) -> PairSummary:
+        """What is kept of it."""
+        first, second = (
+            SideSummary(
+                id=side.quality.id, fingerprint=side.manifest.fingerprint, method=side.manifest.label, seed=side.manifest.seed,
+                steps=side.manifest.steps, rewards={task: one.mean for task, one in side.quality.rewards.items()},
+            )
+            for side in self.sides
+        )  # fmt: skip
+        return PairSummary(quantities=(self.x.name, self.y.name), shared=self.shared, sides=(first, second))
+
+    @property
     def slug(self) -> str:
-        """The name of their folder; other pairs have another."""
-        return ".".join([*(side.quality.id.replace("/", ".") for side in self.sides), "pair"])
+        """The name of their folder."""
+        return self.summary.slug
 
     @property
     def shared(self) -> float:

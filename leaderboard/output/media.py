@@ -1,4 +1,7 @@
-"""What lies beside records and belongs onto pages: where each is, its policy, and videos that somebody made of the best ones."""
+"""What lies beside records and belongs onto pages: where each is, its policy, and videos that somebody made of the best ones.
+
+And what ``compare`` left in the output.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,18 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
+from pydantic import ValidationError
+
 from cudc_bench.artefacts.records import Record
 from cudc_bench.files import read_limited
 
+from ..datasets.pair import SUMMARY, PairSummary
 from ..intake.load import Loaded
 from ..numbers.table import Table
 from ..site.parts import Clip, Run, run_of
 
 _VIDEOS = (".mp4", ".gif")  # as ``cudc-bench render`` names them
+_COMPARED = {".md", ".csv", ".svg", ".pdf", *_VIDEOS}  # kinds of the files of ``compare`` that a page shows or offers
 _LARGEST = 20_000_000  # bytes of a video on a page; of ten seconds it has a fiftieth of that
 
 
@@ -47,6 +54,17 @@ def find_clips(loaded: Loaded, tables: Iterable[Table]) -> dict[tuple[str, str],
             runs.sort(key=lambda one: (-(one.score(one.final.step) or 0.0), one.dataset.id, one.seed))
             if runs:
                 found[table.slug, task] = _clip(runs, files)
+    return found
+
+
+def find_pairs(output: Path) -> dict[str, tuple[PairSummary, list[str]]]:
+    """What ``compare`` left in an output folder: by the name of its folder there a summary, and what a page can show or offer."""
+    found = {}
+    for path in sorted(output.glob(f"*.pair/{SUMMARY}")):
+        with suppress(OSError, ValidationError):
+            pair = PairSummary.model_validate_json(read_limited(path))
+            if pair.slug == path.parent.name:
+                found[pair.slug] = pair, sorted(one.name for one in path.parent.iterdir() if one.suffix in _COMPARED)
     return found
 
 

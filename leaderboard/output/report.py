@@ -31,7 +31,7 @@ from ..site.pages import site_files
 from ..site.parts import Run, Site, run_of
 from .incremental import Contents, Target, build, digest, holds
 from .measured import find_local
-from .media import find_clips, links_to_records
+from .media import find_clips, find_pairs, links_to_records
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,14 @@ def make_report(
 
         def site_part(there: Mapping[str, Sequence[str]]) -> Target:
             places = _places(loaded, paths)
-            links, clips = links_to_records(loaded, folder), find_clips(loaded, tables)
-            site = Site(tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden, links, clips)
+            links, clips, pairs = links_to_records(loaded, folder), find_clips(loaded, tables), find_pairs(folder)
+            there = {**there, **{slug: names for slug, (_, names) in pairs.items()}}
+            site = Site(
+                tables, overall, [*loaded.problems, *problems], missing, there, places, local, studies, hidden, links, clips,
+                [pair for pair, _ in pairs.values()],
+            )  # fmt: skip
             known = [loaded.inputs(records), every, site.problems, map(str, missing), map(repr, there.items()), map(repr, places.items()),
-                     (f"{slug} {one.digest}" for slug, one in local.items()), map(repr, links.items()),
+                     (f"{slug} {one.digest}" for slug, one in local.items()), map(repr, links.items()), map(repr, site.pairs),
                      (f"{one.has_policy} {one.shown and one.shown.dataset.id} {one.suffix} {hashlib.sha256(one.content).hexdigest()}"
                       for one in clips.values())]  # fmt: skip
             return Target("", partial(site_files, site), tuple(map(digest, known)), "site" if whole else "site of some")

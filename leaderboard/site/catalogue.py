@@ -24,10 +24,10 @@ from ..numbers.words import short, span
 from .figures import collection, density
 from .methods import Method, describe
 from .models import MISSING, Figure, Heading, HtmlTable, Item, Page, Row, Section
+from .pairs import Pairs
 from .parts import (
     BEST_TEST,
     ComparisonPage,
-    Parts,
     brief,
     commit,
     count,
@@ -60,7 +60,7 @@ _LEADS = {name: f"Collectors that {what}." for name, what in CATEGORIES.items()}
 }
 
 
-class Catalogue(Parts):
+class Catalogue(Pairs):
     """Builds them."""
 
     def methods_page(self) -> Page:
@@ -141,8 +141,12 @@ class Catalogue(Parts):
     def datasets_page(self) -> Page:
         """The list of datasets."""
         grid = self._datasets_grid(self.site.datasets, methods=True)
-        lead = ("What was collected without rewards, and then trained on. One dataset is one seed of one method.",)
-        return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), (Section("All datasets", grids=(grid,)),))
+        lead = (
+            "What was trained on, collected without rewards unless its method is a tier of an online training, or it was imported. "
+            "One dataset is one seed of one method.",
+        )
+        sections = (*self.pairs_of(), Section("All datasets", grids=(grid,)))
+        return Page("datasets/index.html", "Datasets", (("Overview", "index.html"),), lead, (), sections)
 
     def _datasets_grid(self, datasets: Sequence[Dataset], methods: bool = False) -> HtmlTable:
         lines = []
@@ -188,6 +192,7 @@ class Catalogue(Parts):
             sections.append(Section("Measures", lead=f"{why}{' The commands above make it again.' if again else ''}"))
         else:
             sections += _measured(dataset, local)
+        sections += self.pairs_of(dataset)
         sections += _contents(dataset)
         sections.append(self._trained(dataset))
         sections.append(

@@ -7,6 +7,7 @@ JavaScript; their policy (``Content-Security-Policy``) allows neither scripts no
     <profile>.<algorithm>/index.html        a comparison of its own for each group and algorithm; they are never mixed
     <profile>.<algorithm>.<domain>/         index.html; task-<task>.html; runs-<task>.<method>.html, the runs behind each cell
     methods/, datasets/                     index.html and a page for each
+    <id>.<id>.pair/                         index.html, beside what ``compare`` left there
     site/                                   style, script, and pictures of domains
 """
 
@@ -94,6 +95,7 @@ class _Pages(Boards, Runs, Catalogue):
         found += [partial(self._plain, self.study_pages, some) for some in _some(site.studies)]
         found += [partial(self._plain, partial(map, self.dataset), some) for some in _some(site.datasets)]
         found += [partial(self._plain, partial(map, self.method), some) for some in _some(site.methods)]
+        found += [partial(self._plain, partial(map, self.pair), some) for some in _some(site.pairs)]
         return found
 
     def _of_table(self, board: ComparisonPage, table: Table) -> Iterable[Page]:

@@ -18,6 +18,7 @@ from cudc_bench.envs.domains import DOMAINS, SUITE, domain_title
 from cudc_bench.text import plain
 
 from ..datasets.behind import Dataset, Local, datasets_of
+from ..datasets.pair import PairSummary
 from ..methods import METHOD_ORDER, styles
 from ..numbers.columns import column
 from ..numbers.grid import Entry
@@ -68,6 +69,7 @@ class Site:
         hidden: tables of the methods that only studies show, for the pages of their runs.
         links: addresses of records from the site's root, of those that are near it.
         clips: what there is to see of each table's policies, by its slug and the task.
+        pairs: datasets side by side, whose files lie in the folders of their slugs.
     """
 
     tables: Sequence[Table]
@@ -81,6 +83,7 @@ class Site:
     hidden: Sequence[Table] = ()
     links: Mapping[Run, str] = field(default_factory=dict)
     clips: Mapping[tuple[str, str], Clip] = field(default_factory=dict)
+    pairs: Sequence[PairSummary] = ()
 
     @cached_property
     def boards(self) -> list[ComparisonPage]:
@@ -443,3 +446,8 @@ def method_path(method: str) -> str:
 def dataset_path(dataset: Dataset) -> str:
     """The page of a dataset."""
     return f"datasets/{dataset.slug}.html"
+
+
+def pair_path(pair: PairSummary) -> str:
+    """The page of two datasets, beside their figures."""
+    return f"{pair.slug}/index.html"

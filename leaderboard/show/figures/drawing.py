@@ -20,6 +20,7 @@ from ...numbers.words import short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
@@ -189,11 +190,12 @@ def steps_axis(panel: Axes, what: str, steps: Iterable[int]) -> None:
     panel.xaxis.set_major_formatter(FuncFormatter(lambda step, _: short(step)))
 
 
-def plain_numbers() -> Any:
-    """A formatter of a logarithmic axis' ticks; its own writes powers as formulas, which nothing here typesets."""
-    from matplotlib.ticker import FuncFormatter
+def plain_powers(axis: Axis) -> None:
+    """Name the powers on a logarithmic axis, and nothing between them; by itself it writes formulas, which nothing here typesets."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    return FuncFormatter(lambda value, _: f"{value:g}")
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _handle(method: str, style: dict[str, Any]) -> Any:

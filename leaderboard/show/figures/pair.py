@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...datasets.pair import Pair
-from .drawing import figure_files, framed, plain_numbers
+from .drawing import figure_files, framed, plain_powers
 from .quality import density_panels
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def draw_map(pair: Pair) -> Figure:
     for panel, shares, side in zip(panels, (first, second), pair.sides, strict=False):
         shown = panel.pcolormesh(pair.x.edges, pair.y.edges, shares.T, norm=norm, cmap="viridis", rasterized=True)
         panel.set_title(side.name)
-    figure.colorbar(shown, ax=list(panels[:2]), label="share of its states", format=plain_numbers())
+    plain_powers(figure.colorbar(shown, ax=list(panels[:2]), label="share of its states").ax.yaxis)
     hues = LinearSegmentedColormap.from_list("whose", [_STYLES[0]["color"], "#E8E8E8", _STYLES[1]["color"]])
     whose = np.ma.masked_invalid(np.divide(second.filled(0) - first.filled(0), both, out=np.full_like(both, np.nan), where=both > 0))
     shown = panels[2].pcolormesh(pair.x.edges, pair.y.edges, whose.T, vmin=-1, vmax=1, cmap=hues, rasterized=True)
@@ -70,7 +70,9 @@ def draw_spectra(pair: Pair) -> Figure:
             # A piece's mean was taken off, so that nothing is left at 0 Hz; the last band is half as wide as the others.
             panel.plot(pair.frequencies[1:-1], np.maximum(side.spectrum[1:-1], _LOWEST), linewidth=1.2, **style)
     panel.set_yscale("log")
-    panel.yaxis.set_major_formatter(plain_numbers())
+    low, high = panel.get_ylim()
+    panel.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
+    plain_powers(panel.yaxis)
     panel.set_xlabel("Hz")
     panel.set_ylabel("variance")
     panel.set_xlim(0, pair.frequencies[-1])

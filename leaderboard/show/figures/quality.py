@@ -11,7 +11,7 @@ from cudc_bench.text import plain
 
 from ...datasets.quality import BINS, Quality, QualityTable
 from ...methods import styles
-from .drawing import framed, plain_numbers
+from .drawing import framed, plain_powers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ def density_panels(title: str, tasks: Sequence[str], lines: Mapping[str, tuple[S
         panel.set_xlabel("reward of a step")
         panel.set_xlim(0, 1)
         panel.set_yscale("log")
-        panel.yaxis.set_major_formatter(plain_numbers())
+        plain_powers(panel.yaxis)
         if index % _COLUMNS == 0:
             panel.set_ylabel("density")
     panels[0].set_ylim(bottom=max(lowest / 2, 1e-5))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,16 @@ from PIL import Image, ImageSequence
 import cudc_bench
 from cudc_bench import plugins
 from cudc_bench.artefacts.ids import rooted_at
+from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.data.reader import load_episodes
 from cudc_bench.envs import check_domain
 from cudc_bench.errors import RunError, UsageError
 from cudc_bench.leaderboard.datasets.pair import Axis, Pair, Side, _Spectrum, _visits, compare_pair
 from cudc_bench.leaderboard.datasets.quality import Quality
 from cudc_bench.leaderboard.output import film
+from cudc_bench.leaderboard.output.media import find_pairs
+from cudc_bench.leaderboard.show.figures.drawing import figure_files
+from cudc_bench.leaderboard.show.figures.pair import draw_spectra
 from cudc_bench.settings.seeding import episode_seed
 
 FIRST, SECOND = "walker/cudc-smoke-v0", "walker/random-smoke-v0"
@@ -176,8 +182,22 @@ def test_where_nothing_draws_there_is_a_remark(tmp_path: Path, monkeypatch: pyte
     report = cudc_bench.compare_datasets(FIRST, SECOND, tmp_path)
     assert report.remarks == ["there is no film: nothing here can draw."]
     assert {file.name for file in report.files} == {
-        "quality.md", "quality.csv", *(f"{name}.{kind}" for name in ("map", "density", "spectra") for kind in ("svg", "pdf")),
+        "quality.md", "quality.csv", "pair.json", *(f"{name}.{kind}" for name in ("map", "density", "spectra") for kind in ("svg", "pdf")),
     }  # fmt: skip
+    ((kept, names),) = find_pairs(tmp_path).values()
+    assert kept == report.pair.summary
+    assert "map.svg" in names
+    for side, one in zip(kept.sides, (FIRST, SECOND), strict=True):
+        assert (side.id, side.fingerprint, side.method) == (one, read_manifest(one).fingerprint, one.split("/")[1].split("-")[0])
+    assert list(kept.sides[0].rewards) == ["stand", "walk", "run", "flip"]
+
+
+def test_an_axis_of_less_than_a_power_has_no_formulas(pair: Pair) -> None:
+    flat = np.linspace(1.2e-3, 4e-3, len(pair.frequencies))
+    close = replace(pair, sides=(replace(pair.sides[0], spectrum=flat), replace(pair.sides[1], spectrum=flat[::-1])))
+    shown = figure_files("spectra", lambda: draw_spectra(close), ["svg"])["spectra.svg"].decode()
+    assert "mathdefault" not in shown
+    assert {">0.001<", ">0.01<"} <= set(re.findall(">[0-9.]+<", shown))
 
 
 def test_the_command_says_what_there_is(both: Path, cli: Callable[..., Any], tmp_path: Path) -> None:

@@ -1,7 +1,11 @@
-"""What lies beside records comes onto pages: a link to each that is near, and a video of the best policy, or the command that makes it."""
+"""What lies beside records comes onto pages: a link to each that is near, and a video of the best policy, or the command that makes it.
+
+So does what ``compare`` left in the output.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -10,9 +14,11 @@ import pytest
 from PIL import Image
 
 from cudc_bench.artefacts.records import Record
+from cudc_bench.leaderboard.api import make_leaderboard
+from cudc_bench.leaderboard.datasets.pair import PairSummary, SideSummary
 from cudc_bench.leaderboard.intake.load import load_records
 from cudc_bench.leaderboard.numbers.table import build_tables
-from cudc_bench.leaderboard.output.media import find_clips, links_to_records
+from cudc_bench.leaderboard.output.media import find_clips, find_pairs, links_to_records
 from cudc_bench.leaderboard.site.pages import site_files
 from cudc_bench.leaderboard.site.parts import Site, run_of
 
@@ -95,3 +101,72 @@ def test_odd_names_of_files_are_addresses(make_record: Callable[..., Record], tm
     (folder / "é&%.json").write_text(make_record().model_dump_json())
     (link,) = links_to_records(load_records([folder]), tmp_path / "report").values()
     assert link == "../a%20%22b%22%20%3Cc%3E%23%3F/%C3%A9%26%25.json"
+
+
+SIDES = [
+    SideSummary(id=f"walker/{name}-v0", fingerprint=letter * 64, method=name, seed=1, steps=400_000, rewards={"walk": 0.25, "hop": 0.5})
+    for name, letter in (("cudc", "b"), ("rnd", "c"))
+]
+PAIR = PairSummary(quantities=("height", "speed"), shared=0.375, sides=(SIDES[0], SIDES[1]))
+PLACE = "walker.cudc-v0.walker.rnd-v0.pair"
+
+
+def compared(output: Path, place: str = PLACE, text: str = PAIR.model_dump_json()) -> None:
+    """What ``compare`` leaves, and the page that a leaderboard put beside it."""
+    (output / place).mkdir(parents=True)
+    for name in ("map.svg", "film.gif", "quality.csv", "index.html"):
+        (output / place / name).write_text("<svg/>")
+    (output / place / "pair.json").write_text(text)
+
+
+def test_two_datasets_side_by_side_have_a_page_beside_their_figures(results: Path, tmp_path: Path) -> None:
+    compared(tmp_path / "report")
+    found = find_pairs(tmp_path / "report")
+    assert found == {PLACE: (PAIR, ["film.gif", "map.svg", "quality.csv"])}
+    _, files = page_of(results, pairs=[PAIR], files={PLACE: found[PLACE][1]})
+    page, listed = files[f"{PLACE}/index.html"], files["datasets/index.html"]
+    assert isinstance(page, str)
+    for part in (
+        "<h1>walker/cudc-v0 beside walker/rnd-v0</h1>", "38% of the states are in the same cells of height and speed", "bbbbbbbbbbbb …",
+        ">0.250</td>", '<img src="map.svg" alt="Where their states lie: ', '<img src="film.gif"', 'href="quality.csv"',
+        "cudc-bench compare walker/cudc-v0 walker/rnd-v0 --quantities height,speed",
+    ):  # fmt: skip
+        assert part in page
+    assert not any(name in page for name in ("density", "spectra", "film.mp4", 'href="../datasets/walker'))
+    assert f'<a href="../{PLACE}/index.html">walker/cudc-v0 beside walker/rnd-v0</a>' in listed  # type: ignore[operator]
+
+
+def test_a_comparison_comes_and_goes_with_its_folder(results: Path, tmp_path: Path) -> None:
+    def listed() -> bool:
+        make_leaderboard(results, tmp_path / "report", datasets=False)
+        return "Side by side" in (tmp_path / "report" / "datasets" / "index.html").read_text()
+
+    assert not listed()
+    compared(tmp_path / "report")
+    assert listed()
+    assert "Where their states lie" in (tmp_path / "report" / PLACE / "index.html").read_text()
+    shutil.rmtree(tmp_path / "report" / PLACE)
+    assert not listed()
+    assert not (tmp_path / "report" / PLACE).exists()
+
+
+def test_where_nothing_was_compared_nothing_is_said_of_it(results: Path, tmp_path: Path) -> None:
+    (tmp_path / "report" / "empty.pair").mkdir(parents=True)
+    assert find_pairs(tmp_path / "report") == find_pairs(tmp_path / "nowhere") == {}
+    _, files = page_of(results)
+    assert not [path for path, text in files.items() if ".pair" in path or (path.endswith(".html") and "Side by side" in str(text))]
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ("walker.other-v0.walker.rnd-v0.pair", PAIR.model_dump_json()),
+        (PLACE, "{"),
+        (PLACE, PAIR.model_dump_json().replace("walker/cudc-v0", "../../x-v0")),
+        (PLACE, PAIR.model_dump_json().replace("0.375", "NaN")),
+        (PLACE, PAIR.model_dump_json().replace('"seed":1', '"seed":-1')),
+    ],
+)
+def test_what_compare_did_not_write_is_no_comparison(place: str, text: str, tmp_path: Path) -> None:
+    compared(tmp_path, place, text)
+    assert find_pairs(tmp_path) == {}

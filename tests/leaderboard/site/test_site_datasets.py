@@ -13,12 +13,15 @@ from cudc_bench.artefacts.again import base_id, commands_from_nothing
 from cudc_bench.artefacts.manifest import read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.datasets.behind import datasets_of
+from cudc_bench.leaderboard.datasets.behind import Local, datasets_of
 from cudc_bench.leaderboard.datasets.diagnostics import diagnostics_path
+from cudc_bench.leaderboard.datasets.pair import PairSummary, SideSummary
 from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.leaderboard.output import measured as site_datasets
 from cudc_bench.leaderboard.output.measured import find_local
+from cudc_bench.leaderboard.site.catalogue import Catalogue
 from cudc_bench.leaderboard.site.figures import collection
+from cudc_bench.leaderboard.site.parts import Site
 
 
 def of(*records):
@@ -152,3 +155,22 @@ def test_its_page_shows_what_was_measured(local, save, tmp_path):
     assert str(tmp_path) not in page
     before = {file: file.read_bytes() for file in report.files}
     assert {file: file.read_bytes() for file in make_leaderboard(tmp_path / "results", output).files} == before
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_dataset_leads_to_what_its_very_data_were_compared_in(local, same):
+    tables = build_tables(local())[0]
+    (dataset,) = datasets_of(tables)
+    here = Local("walker/cudc-smoke-v0", read_manifest("walker/cudc-smoke-v0"), None)
+    sides = [
+        SideSummary(id=one, fingerprint=fingerprint, method="cudc", seed=1, steps=3000, rewards={})
+        for one, fingerprint in (("walker/gone-v0", "a" * 64), (here.id, here.manifest.fingerprint if same else "b" * 64))
+    ]
+    pair = PairSummary(quantities=("x", "y"), shared=0.5, sides=tuple(sides))
+    site = Catalogue(Site(tables, [], local={dataset.slug: here}, pairs=[pair]))
+    lines = [line for section in site.dataset(dataset).sections if section.title == "Side by side" for line in section.lines]
+    page = f"{pair.slug}/index.html"
+    assert [line.link for line in lines] == ([page] if same else [])
+    heads = [row.head.link for row in site.pair(pair).sections[0].grids[0].lines]
+    assert heads == [None, f"datasets/{dataset.slug}.html" if same else None]
+    assert [line.link for section in site.datasets_page().sections for line in section.lines] == [page]
