@@ -99,7 +99,7 @@ class Catalogue(Pairs):
             ("registered by", known.package, None), ("data", origins, None),
         ) if text]  # fmt: skip
         unknown = "Nothing more is known of it here: no collector of this name is installed, or its source cannot be read."
-        text = known.text or (_LEADS[group] if group == _NOT_COLLECTED else unknown,)
+        text = known.text or ("No collector made it." if group == _NOT_COLLECTED else unknown,)
         sections = [Section("What it is", prose=text, facts=tuple(facts))]
         for board in self.site.boards:
             if not any(method in table.methods for table in (*board.tables, *board.hidden)):

@@ -132,6 +132,12 @@ def test_methods_stand_under_their_categories(make_record: Callable[..., Record]
         "Mixtures, tiers and imported data": ["medium-replay", "mixture (cudc, rnd)", "proto (ExORL, 400K)"],
     }
     assert list(headings([make_record("apt")])) == ["Data-based"]
+    pages = Catalogue(Site(build_tables(records)[0], []))
+    about = {name: pages.method(name).sections[0] for name in ("smm", "nobody", "medium-replay")}
+    groups = {name: dict(section.facts)["group"].text for name, section in about.items()}
+    assert groups == {"smm": "Competence-based", "nobody": "Other collectors", "medium-replay": "Mixtures, tiers and imported data"}
+    assert about["medium-replay"].prose == ("No collector made it.",)
+    assert about["nobody"].prose[0].startswith("Nothing more is known of it here")
 
 
 @pytest.mark.parametrize(
