@@ -12,17 +12,19 @@ from cudc_bench.files import check_folder, check_path
 
 from .datasets.diagnostics import DiagnosticsReport, compare_stored
 from .datasets.pair import SUMMARY, Pair, compare_pair
-from .datasets.quality import QualityReport, measure_stored
+from .datasets.prediction import Prediction, predict
+from .datasets.quality import QualityTable, measure_stored
+from .datasets.yardsticks import measure_beside
 from .intake.load import Loaded, kept_from_collector, load_records
 from .intake.select import only
 from .output.files import write_files
 from .output.film import write_film
-from .output.report import Report, make_report, quality_files
+from .output.report import Report, make_report, prediction_files, quality_files
 from .show import csv, markdown
 from .show.figures.diagnostics import diagnostic_files
 from .show.figures.pair import pair_files
 
-__all__ = ["Report", "compare_datasets", "draw_diagnostics", "make_leaderboard", "measure_quality"]
+__all__ = ["QualityReport", "Report", "compare_datasets", "draw_diagnostics", "make_leaderboard", "measure_quality"]
 
 _LONGEST = 60  # seconds of a scene
 
@@ -105,30 +107,63 @@ def draw_diagnostics(
     return DiagnosticsReport(comparisons, remarks, files)
 
 
+@dataclass(frozen=True)
+class QualityReport:
+    """What :func:`measure_quality` found.
+
+    Attributes:
+        tables: one for each domain and group, in that order.
+        predictions: what goes with learners' scores, for each of the tables whose datasets have enough of them.
+        remarks: one line for each thing that was left out.
+        files: what was written; empty without an output folder.
+    """
+
+    tables: list[QualityTable]
+    predictions: list[Prediction]
+    remarks: list[str]
+    files: list[Path]
+
+
 def measure_quality(
     dataset_ids: str | Sequence[str] | None = None,
     output: str | Path | None = "report",
     domain: str | None = None,
     methods: Sequence[str] | None = None,
+    records: str | Path | Sequence[str | Path] = (),
 ) -> QualityReport:
     """Measure datasets without training on them: reward density for all tasks, coverage, entropy, statistics of actions.
 
-    For each domain and group ``<output>/<slug>/`` gets ``quality.md``, ``quality.csv``, ``density.svg`` and ``density.pdf``; each file is
-    replaced whole. The same datasets give the same bytes.
+    Where the datasets of ``cudc-bench tiers`` are there, also what they have of the states of a task's expert, and of the state-action
+    pairs of its replay; with records also where their returns lie between a task's floor and ceiling (see :mod:`.datasets.yardsticks`),
+    and which of all these measures goes with learners' scores (see :mod:`.datasets.prediction`).
+
+    For each domain and group ``<output>/<slug>/`` gets ``quality.md``, ``quality.csv``, ``density.svg`` and ``density.pdf``, and where
+    datasets have scores ``prediction.md``, ``.tex``, ``.svg`` and ``.pdf``, and a ``.csv`` for each of its tables; each file is replaced
+    whole. The same datasets and records give the same bytes.
 
     Args:
         dataset_ids: task-agnostic datasets; all below the dataset root unless given.
         output: the folder to write to; None writes nothing.
         domain, methods: only datasets of that domain, of these methods.
+        records: a record, a folder of records and references, or several.
 
     Raises:
-        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states; the output cannot be a folder.
+        UsageError: there is no such dataset, or one that was named is labelled or holds no physics states; there are no such records; the
+            output cannot be a folder.
         RunError: a dataset is damaged, or a file could not be written.
     """
     folder = None if output is None else check_folder(output, "output")
+    paths = [check_path(path, "the records") for path in ([records] if isinstance(records, str | Path) else records)]
+    loaded = _load(paths, need=False)
+    references, faults = read_references(path for path in paths if path.is_dir())
     tables, remarks = measure_stored(dataset_ids, domain, methods)
-    files = [] if folder is None else [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
-    return QualityReport(tables, remarks, files)
+    tables, lacking = measure_beside(tables, references)
+    predictions, left_out = predict(tables, loaded.records)
+    files = []
+    if folder is not None:
+        files = [file for one in tables for file in write_files(folder / one.slug, quality_files(one))]
+        files += [file for one in predictions for file in write_files(folder / one.study.folder, prediction_files(one))]
+    return QualityReport(tables, predictions, [*remarks, *loaded.problems, *faults, *lacking, *left_out], files)
 
 
 @dataclass(frozen=True)
@@ -185,13 +220,13 @@ def compare_datasets(
     return PairReport(pair, remarks, files)
 
 
-def _load(paths: Sequence[Path]) -> Loaded:
+def _load(paths: Sequence[Path], need: bool = True) -> Loaded:
     way_out = "make some with: cudc-bench evaluate --algo td3"
     for path in paths:
         if not path.exists():
             raise UsageError(f"there are no results at '{path}'; {way_out}")
     loaded = load_records(paths)
-    if not loaded.records:
+    if need and not loaded.records:
         where = ", ".join(f"'{path}'" for path in paths)
         problems = loaded.problems
         why = f". Files left out: {len(problems)}, such as: {problems[0]}" if problems else ""

@@ -124,19 +124,25 @@ def stats(
         str | None,
         typer.Option("--method", help="Only this collector, or several separated by commas.", autocompletion=completion.some_methods),
     ] = None,
+    records: Annotated[
+        list[str] | None,
+        typer.Option("--records", help="Records and references, or folders of them. Repeatable.", show_default="results, if it is there"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure datasets without training: reward density for all tasks, coverage, entropy."""
+    """Measure datasets without training: rewards, coverage, entropy, what they have of experts, and which of these goes with scores."""
     from cudc_bench.cli.documents import print_json
 
     from .api import measure_quality
     from .show.documents import of_stats
-    from .show.terminal import of_quality
+    from .show.terminal import of_quality, of_study
 
-    report = measure_quality(dataset_ids or None, output, domain, _methods(method))
+    usual = ["results"] if Path("results").is_dir() else []
+    report = measure_quality(dataset_ids or None, output, domain, _methods(method), usual if records is None else records)
     if as_json:
-        print_json(of_stats(report))
-    _show(() if as_json else map(of_quality, report.tables), report.remarks, () if as_json else report.files)
+        print_json(of_stats(report.tables, report.predictions, report.remarks, report.files))
+    parts = [*map(of_quality, report.tables), *(of_study(one.study) for one in report.predictions)]
+    _show(() if as_json else parts, report.remarks, () if as_json else report.files)
 
 
 def compare(

@@ -63,8 +63,11 @@ class Visits:
         self._shape = tuple(bins.count for bins in domain.descriptors)
         self.counts = np.zeros(math.prod(self._shape), np.int64)
 
-    def add(self, quantities: Float64) -> None:
+    def add(self, quantities: Float64) -> NDArray[np.int64]:
         """Count states by their quantities (N, Q), in the order and units of the domain's.
+
+        Returns:
+            The number of each state's cell (N,).
 
         Raises:
             RunError: a quantity is not finite.
@@ -72,8 +75,10 @@ class Visits:
         if not np.isfinite(quantities).all():
             raise RunError(f"physical quantities of {self._name} are not finite; the states are damaged (see cudc-bench verify).")
         bins = [np.searchsorted(edges, column, side="right") for edges, column in zip(self._edges, quantities.T, strict=True)]
-        cells, visits = np.unique(np.ravel_multi_index(tuple(bins), self._shape), return_counts=True)
-        self.counts[cells] += visits
+        cells = np.asarray(np.ravel_multi_index(tuple(bins), self._shape), np.int64)
+        visited, visits = np.unique(cells, return_counts=True)
+        self.counts[visited] += visits
+        return cells
 
     @property
     def coverage(self) -> DescriptorCoverage:

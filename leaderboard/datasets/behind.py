@@ -11,11 +11,11 @@ from functools import cached_property
 from typing import Any
 
 from cudc_bench.artefacts.again import base_id, collect_commands
-from cudc_bench.artefacts.manifest import Manifest
+from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
 from cudc_bench.artefacts.provenance import is_own_command
 from cudc_bench.artefacts.records import Record, settings_text
 from cudc_bench.artefacts.tiers import TIERS
-from cudc_bench.errors import CudcBenchError
+from cudc_bench.errors import CudcBenchError, UsageError
 from cudc_bench.text import plain
 
 from ..numbers.columns import column
@@ -124,3 +124,26 @@ def datasets_of(tables: Iterable[Table]) -> list[Dataset]:
                     tuple(labelled), tuple(records), slug)
         )  # fmt: skip
     return found
+
+
+def find_base(dataset_id: str, fingerprint: str) -> tuple[str, Manifest] | None:
+    """The id and manifest of what was collected, of a dataset that was trained on; None if it is not here, or is another.
+
+    Args:
+        dataset_id, fingerprint: as a record names them.
+
+    Raises:
+        RunError: what is there is damaged.
+    """
+    try:
+        if not exists(dataset_id):
+            return None
+        manifest = read_manifest(dataset_id)
+        if manifest.fingerprint != fingerprint:
+            return None
+        if manifest.base is None:
+            return dataset_id, manifest
+        base = read_manifest(manifest.base.id)
+    except UsageError:
+        return None  # no id, or somebody else's dataset
+    return (manifest.base.id, base) if base.fingerprint == manifest.base.fingerprint else None

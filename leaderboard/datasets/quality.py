@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cudc_bench import plugins
 from cudc_bench.artefacts.manifest import Manifest
-from cudc_bench.data.descriptors import DescriptorCoverage, Visits
+from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.data.measure import NEIGHBOUR, STATS, EvenlySpaced, mean_log_distance
 from cudc_bench.data.reader import read_episodes
 from cudc_bench.envs import Domain, check_domain, reward_function
@@ -29,6 +28,7 @@ from ..intake.select import Chosen, select
 from ..methods import METHOD_ORDER
 from ..numbers.words import ordered, slug
 from .diagnostics import group_of
+from .visited import Trail, Visited
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -61,6 +61,23 @@ class RewardDensity:
 
 
 @dataclass(frozen=True)
+class TaskMeasures:
+    """What a dataset has of a task beside others (see :mod:`.yardsticks`); None where there is nothing to measure it by.
+
+    Attributes:
+        trajectory_quality: TQ, the mean return of its episodes between the task's floor, 0, and its ceiling, 1.
+        coverage_ratio: SACo, how many state-action pairs it has for each that a replay of the task has.
+        expert_recall: the share of an expert's states in whose cells it has been.
+        expert_precision: the share of its states in whose cells an expert has been.
+    """
+
+    trajectory_quality: float | None
+    coverage_ratio: float | None
+    expert_recall: float | None
+    expert_precision: float | None
+
+
+@dataclass(frozen=True)
 class Quality:
     """One dataset's.
 
@@ -75,6 +92,9 @@ class Quality:
         action_saturated: share of all action components with a size above 0.95; 0.05 for uniform actions.
         action_correlation: between a component of an action and that of the next step, mean over actuators; 0 for independent actions.
             None where actions never vary.
+        visited: where its states lie, and how many state-action pairs it has; None for a domain without descriptors, and of what was kept
+            from an earlier measurement.
+        tasks: what it has of tasks beside others, of those for which there is anything to measure by.
     """
 
     id: str
@@ -85,6 +105,8 @@ class Quality:
     action_std: tuple[float, ...]
     action_saturated: float
     action_correlation: float | None
+    visited: Visited | None = field(default=None, repr=False, compare=False)
+    tasks: Mapping[str, TaskMeasures] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -109,21 +131,6 @@ class QualityTable:
     def of(self, method: str) -> list[Quality]:
         """A method's datasets."""
         return [one for one in self.datasets if one.manifest.label == method]
-
-
-@dataclass(frozen=True)
-class QualityReport:
-    """What was measured.
-
-    Attributes:
-        tables: one for each domain and group, in that order.
-        remarks: one line for each dataset that was left out.
-        files: what was written; empty without an output folder.
-    """
-
-    tables: list[QualityTable]
-    remarks: list[str]
-    files: list[Path]
 
 
 def measure_stored(
@@ -192,14 +199,14 @@ def measure(
         look: takes each episode's quantities (T, Q), without the reset's, and actions (T, A), to see more in them.
     """
     relabeler, function = plugins.load("relabelers", domain.relabeler)(domain), reward_function(domain.name)
-    visits = Visits(domain) if domain.descriptors else None
+    trail = Trail(domain) if domain.descriptors else None
     points = EvenlySpaced(manifest, STATS.points)
     rewards, actions = [], []
     for episode in read_episodes(dataset_id, ("infos/physics", "actions", "observations")):
         # Row 0 of an episode is its reset, which no action led to.
         quantities = relabeler.quantities(episode["infos/physics"][1:], episode["actions"])
-        if visits is not None:
-            visits.add(quantities)
+        if trail is not None:
+            trail.add(quantities, episode["actions"])
         rewards.append(function(quantities))
         if look is not None:
             look(quantities, episode["actions"])
@@ -208,15 +215,17 @@ def measure(
         advance(len(episode["actions"]))
     densities = {task: reward_density([one[:, index] for one in rewards]) for index, task in enumerate(domain.tasks)}
     together = np.concatenate(actions)
+    visited = None if trail is None else trail.visited
     quality = Quality(
         id=dataset_id,
         manifest=manifest,
         rewards=densities,
-        coverage=None if visits is None else visits.coverage,
+        coverage=None if visited is None else visited.coverage,
         particle_entropy=None,
         action_std=tuple(together.std(0, dtype=np.float64).tolist()),
         action_saturated=float(STATS.at_bound(together).mean()),
         action_correlation=action_correlation(actions),
+        visited=visited,
     )
     return quality, points.together()
 

@@ -66,6 +66,21 @@ class Intervals:
 
 
 @dataclass(frozen=True)
+class Correlations:
+    """Rank correlations with their intervals, a panel for each learner, a row for each measure.
+
+    Attributes:
+        title: of the whole.
+        measures: the rows.
+        panels: what to draw of them; a measure may be absent from some.
+    """
+
+    title: str
+    measures: tuple[str, ...]
+    panels: Mapping[str, Mapping[str, Estimate]]
+
+
+@dataclass(frozen=True)
 class Sizes:
     """Scores over dataset sizes, or over other amounts, a panel for each task and one for their mean, a line for each method.
 

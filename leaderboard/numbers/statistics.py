@@ -468,6 +468,47 @@ def _choices(values: Integers, size: int) -> Floats:
     return np.asarray(ways[size] / ways[size].sum())
 
 
+def rank_correlation(x: Floats, y: Floats) -> float | None:
+    """Spearman's rank correlation of two measures of some datasets on each task, mean over tasks: (n, T), (n, T) -> -1 to 1.
+
+    Ties have the mean of their ranks. Tasks on which one of both is the same for all datasets do not count; None if that is all of them.
+    """
+    (found,) = _rank_correlations(x, y, np.ones((len(x), 1)))
+    return None if np.isnan(found) else float(found)
+
+
+def rank_correlation_interval(x: Floats, y: Floats, clusters: Sequence[str], name: str, resamples: int = RESAMPLES) -> Interval | None:
+    """The 95 % interval of :func:`rank_correlation`: percentiles of a cluster bootstrap; None where no resample has a correlation.
+
+    Clusters are drawn with replacement, each with all of its datasets and these with all tasks. Resamples in which one of both is the same
+    throughout do not count.
+
+    Args:
+        x, y: as there.
+        clusters: to which each of the datasets belongs (n,): those of one are alike.
+        name: what the draws are of, see :func:`draw`.
+        resamples: how many.
+    """
+    names, belongs = np.unique(clusters, return_inverse=True)
+    counts = counted(draw(len(names), 1, name, resamples))[0, belongs].astype(np.float64)
+    found = _rank_correlations(x, y, counts)
+    found = found[~np.isnan(found)]
+    return Interval(*_ends(found, (1 - CONFIDENCE) / 2)) if len(found) else None
+
+
+def _rank_correlations(x: Floats, y: Floats, counts: Floats) -> Floats:
+    """The mean over tasks, in which each dataset is so often in each resample: (n, T), (n, T), (n, B) -> (B,); NaN where there is none."""
+    found = []
+    for columns in zip(x.T, y.T, strict=True):
+        # Twice the distance of each mean rank from the middle one: how many are below, less how many are above.
+        first, second = (np.sign(column[:, None] - column) @ counts for column in columns)
+        scale = np.sqrt((counts * first**2).sum(0) * (counts * second**2).sum(0))
+        found.append(np.divide((counts * first * second).sum(0), scale, out=np.full(counts.shape[1], np.nan), where=scale > 0))
+    together = np.stack(found)
+    there = ~np.isnan(together)
+    return np.divide(np.where(there, together, 0.0).sum(0), there.sum(0), out=np.full(counts.shape[1], np.nan), where=there.any(0))
+
+
 def holm(p_values: Sequence[float]) -> list[float]:
     """p-values corrected for their number by Holm's step-down method (Holm 1979), in the given order."""
     order = sorted(range(len(p_values)), key=lambda index: p_values[index])

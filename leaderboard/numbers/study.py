@@ -61,7 +61,7 @@ class Study:
     @property
     def heading(self) -> str:
         """The title with what the records have in common."""
-        return f"{self.title}: {', '.join(filter(None, (self.domain, self.algorithm)))}{', ' if self.algorithm else ''}profile {self.group}"
+        return f"{self.title}: {', '.join(filter(None, (self.domain, self.algorithm, f'profile {self.group}')))}"
 
     @property
     def commands(self) -> list[str]:

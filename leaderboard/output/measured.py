@@ -11,15 +11,15 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cudc_bench.artefacts.manifest import Manifest, exists, read_manifest
+from cudc_bench.artefacts.manifest import Manifest
 from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.envs import check_domain
-from cudc_bench.errors import CudcBenchError, UsageError
+from cudc_bench.errors import CudcBenchError
 from cudc_bench.execution.parallel import computed
 from cudc_bench.files import MOST_LINES, read_limited
 from cudc_bench.text import plain
 
-from ..datasets.behind import Dataset, Local
+from ..datasets.behind import Dataset, Local, find_base
 from ..datasets.diagnostics import diagnostics_path
 from ..datasets.quality import BINS, QUANTILES, Quality, RewardDensity, measure
 from .files import write_files
@@ -68,7 +68,8 @@ def find_local(datasets: Sequence[Dataset], output: Path) -> tuple[dict[str, Loc
     present, remarks = [], []
     for dataset in datasets:
         try:
-            if (found := _present(dataset)) is not None:
+            bases = (find_base(one, fingerprint) for _, one, fingerprint in dataset.labelled)
+            if (found := next(filter(None, bases), None)) is not None:
                 present.append((dataset, *found))
         except CudcBenchError as error:
             remarks.append(plain(str(error)))
@@ -108,28 +109,6 @@ def _look(one: str, manifest: Manifest) -> Quality | str | None:
         return measure(one, manifest, check_domain(manifest.domain), lambda states: None)[0] if has_states else None
     except CudcBenchError as error:
         return plain(str(error))
-
-
-def _present(dataset: Dataset) -> tuple[str, Manifest] | None:
-    """The collected dataset's id and manifest, if a labelled one is here with the records' fingerprint and its base is the right one."""
-    for _, one, fingerprint in dataset.labelled:
-        try:
-            if not exists(one):
-                continue
-            manifest = read_manifest(one)
-        except UsageError:
-            continue  # no id, or somebody else's dataset
-        if manifest.fingerprint != fingerprint:
-            continue
-        if manifest.base is None:
-            return one, manifest
-        try:
-            base = read_manifest(manifest.base.id)
-        except UsageError:
-            continue
-        if base.fingerprint == manifest.base.fingerprint:
-            return manifest.base.id, base
-    return None
 
 
 def _read(path: Path) -> dict[str, _Measures]:

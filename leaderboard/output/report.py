@@ -13,6 +13,7 @@ from cudc_bench.artefacts.references import Bounds
 from cudc_bench.text import plain
 
 from ..datasets.behind import datasets_of
+from ..datasets.prediction import Prediction
 from ..datasets.quality import QualityTable
 from ..intake.load import Loaded
 from ..numbers.missing import Missing, find_missing
@@ -25,7 +26,7 @@ from ..show import csv, latex, markdown
 from ..show.figures.comparisons import overall_figure_files
 from ..show.figures.draw import study_figure_files
 from ..show.figures.drawing import figure_files
-from ..show.figures.quality import draw_density
+from ..show.figures.quality import draw_correlations, draw_density
 from ..show.figures.runs import curve_files, draw_bars, task_files
 from ..site.pages import site_files
 from ..site.parts import Run, Site, run_of
@@ -176,3 +177,8 @@ def quality_files(table: QualityTable) -> dict[str, str | bytes]:
     """``quality.md``, ``quality.csv``, and ``density.svg`` and ``density.pdf`` where the domain has tasks."""
     figures = figure_files("density", lambda: draw_density(table)) if table.tasks else {}
     return {"quality.md": markdown.of_quality(table), "quality.csv": csv.of_quality(table), **figures}
+
+
+def prediction_files(prediction: Prediction) -> dict[str, str | bytes]:
+    """``prediction.md`` and ``.tex`` with all tables, ``prediction-<table>.csv`` for each, and ``prediction.svg`` and ``.pdf``."""
+    return {**study_files(prediction.study), **figure_files("prediction", lambda: draw_correlations(prediction.figure))}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import fields
 
 import numpy as np
 
 from cudc_bench.text import plain
 
-from ..datasets.quality import QUANTILES, QualityTable
+from ..datasets.quality import QUANTILES, QualityTable, TaskMeasures
 from ..numbers.grid import Grid
 from ..numbers.overall import Overall
 from ..numbers.power import FOUND
@@ -134,19 +135,22 @@ def of_power(overall: Overall) -> str:
 
 
 def of_quality(table: QualityTable) -> str:
-    """One line for each dataset and task in full precision."""
+    """One line for each dataset and task in full precision; empty where there is nothing to measure by."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     rewards = ["mean", *(f"q{round(100 * share)}" for share in QUANTILES), "best", "top", "above_0.5", "above_0.9"]
     spread = ["coverage_cells", "coverage_entropy", "particle_entropy", "action_std", "action_saturated", "action_correlation"]
-    writer.writerow(["group", "domain", "dataset", "method", "seed", "steps", "task", *rewards, *spread])
+    beside = [field.name for field in fields(TaskMeasures)]
+    writer.writerow(["group", "domain", "dataset", "method", "seed", "steps", "task", *rewards, *spread, "state_action_pairs", *beside])
     for one in table.datasets:
         cells, entropy = ("", "") if one.coverage is None else one.coverage.as_row().values()
         spreads = [cells, entropy, one.particle_entropy, np.mean(one.action_std), one.action_saturated, one.action_correlation]
         head = [table.group, table.domain, one.id, plain(one.manifest.label), one.manifest.seed, one.manifest.steps]
         for task, found in one.rewards.items():
             values = [found.mean, *found.quantiles, found.best, found.top, found.above_half, found.above_nine]
-            writer.writerow([*head, task, *values, *spreads])
+            measures = one.tasks.get(task)
+            others = [one.visited and one.visited.pairs, *(measures and getattr(measures, name) for name in beside)]
+            writer.writerow([*head, task, *values, *spreads, *others])
     return text.getvalue()
 
 

@@ -7,7 +7,8 @@ from typing import Literal
 
 from cudc_bench.cli.documents import Document, Number
 
-from ..datasets.quality import Quality, QualityReport, QualityTable
+from ..datasets.prediction import Prediction
+from ..datasets.quality import Quality, QualityTable
 from ..numbers.grid import Grid
 from ..numbers.missing import Missing
 from ..numbers.overall import Comparison, Overall, Pair, Standing
@@ -304,6 +305,22 @@ class RewardDocument(Document):
     above_nine: Number
 
 
+class TaskMeasuresDocument(Document):
+    """What a dataset has of a task beside others; null where there is nothing to measure it by.
+
+    Attributes:
+        trajectory_quality: TQ, the mean return of its episodes between the task's floor, 0, and its ceiling, 1.
+        coverage_ratio: SACo, how many state-action pairs it has for each that a replay of the task has.
+        expert_recall: share of an expert's states in whose cells it has been.
+        expert_precision: share of its states in whose cells an expert has been.
+    """
+
+    trajectory_quality: Number
+    coverage_ratio: Number
+    expert_recall: Number
+    expert_precision: Number
+
+
 class QualityDocument(Document):
     """One dataset.
 
@@ -318,6 +335,8 @@ class QualityDocument(Document):
         action_std: of each actuator.
         action_saturated: share of action components with a size above 0.95.
         action_correlation: of a component with that of the next step; null where actions never vary.
+        state_action_pairs: different ones of a state's cell and its action's signs; null for a domain without descriptors.
+        tasks: what it has of tasks beside others, of those that have a reference, an expert or a replay of its table's profile.
     """
 
     id: str
@@ -330,6 +349,8 @@ class QualityDocument(Document):
     action_std: list[Number]
     action_saturated: Number
     action_correlation: Number
+    state_action_pairs: int | None
+    tasks: dict[str, TaskMeasuresDocument]
 
 
 class QualityTableDocument(Document):
@@ -355,12 +376,14 @@ class StatsDocument(Document):
     Attributes:
         schema_version: of this document.
         tables: one for each domain and group.
-        remarks: one line for each dataset that was left out.
+        predictions: for each table whose datasets have records, the correlations of measures with scores.
+        remarks: one line for each thing that was left out.
         files: that were written.
     """
 
     schema_version: Literal[1] = 1
     tables: list[QualityTableDocument]
+    predictions: list[StudyDocument]
     remarks: list[str]
     files: list[str]
 
@@ -385,9 +408,12 @@ def of_leaderboard(
     )  # fmt: skip
 
 
-def of_stats(report: QualityReport) -> StatsDocument:
+def of_stats(tables: list[QualityTable], predictions: list[Prediction], remarks: list[str], files: list[Path]) -> StatsDocument:
     """All that was measured."""
-    return StatsDocument(tables=list(map(_quality_table, report.tables)), remarks=report.remarks, files=list(map(str, report.files)))
+    return StatsDocument(
+        tables=list(map(_quality_table, tables)), predictions=[_study(one.study) for one in predictions], remarks=remarks,
+        files=list(map(str, files)),
+    )  # fmt: skip
 
 
 def _table(table: Table) -> LeaderboardTable:
@@ -482,6 +508,8 @@ def _quality(one: Quality) -> QualityDocument:
         coverage_cells=None if one.coverage is None else one.coverage.coverage_cells,
         coverage_entropy=None if one.coverage is None else one.coverage.coverage_entropy, particle_entropy=one.particle_entropy,
         action_std=list(one.action_std), action_saturated=one.action_saturated, action_correlation=one.action_correlation,
+        state_action_pairs=None if one.visited is None else one.visited.pairs,
+        tasks={task: TaskMeasuresDocument(**vars(found)) for task, found in one.tasks.items()},
     )  # fmt: skip
 
 

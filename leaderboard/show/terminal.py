@@ -11,7 +11,7 @@ from cudc_bench.cli.tables import Cell, Row, row
 
 from ..datasets.diagnostics import Comparison
 from ..datasets.pair import Pair
-from ..datasets.quality import Quality, QualityTable
+from ..datasets.quality import Quality, QualityTable, TaskMeasures
 from ..numbers.grid import Column, Entry, number
 from ..numbers.overall import LEAD, PRELIMINARY, Overall
 from ..numbers.study import Study
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 _NARROW = 2  # digits behind the point of a study's numbers, at most
 _SIDE_BY_SIDE = 6
+BESIDE = {
+    "trajectory_quality": "TQ: mean return between floor and ceiling", "coverage_ratio": "SACo: state-action pairs, of a replay's",
+    "expert_recall": "recall: of an expert's states", "expert_precision": "precision: where an expert's states are",
+}  # fmt: skip
 REPRESENTATION_COLUMNS = {"error_over_persistence": "error", "effective_rank": "rank", "state_spread": "spread"}
 
 
@@ -153,7 +157,10 @@ def of_quality(table: QualityTable) -> Group:
     columns = tuple(tables.Column(name, right=name != "method") for name in names)
     rows = tuple(row(one.manifest.label, str(one.manifest.seed), *_rewards(one), *_spread(one)) for one in table.datasets)
     title = Text(f"{table.domain}, profile {table.group}: mean reward per step of each task, and how far the data spread", style="bold")
-    return Group(title, tables.Table(columns, rows, keys=2))
+    shown = [tables.Table(columns, rows, keys=2)]
+    if beside := _beside(table):
+        shown.append(tables.Table(columns[: 2 + len(table.tasks)], beside, keys=2))
+    return Group(title, *shown)
 
 
 def of_pair(pair: Pair) -> Group:
@@ -179,6 +186,22 @@ def _spread(one: Quality) -> list[str]:
     particle = "–" if one.particle_entropy is None else f"{one.particle_entropy:.2f}"
     correlation = "–" if one.action_correlation is None else f"{one.action_correlation:.2f}"
     return [*coverage, particle, f"{one.action_saturated:.1%}", correlation]
+
+
+def _beside(table: QualityTable) -> tuple[Row, ...]:
+    """What the datasets have of each task beside others, below a heading for each measure; nothing of what none has."""
+    rows = []
+    for name, title in BESIDE.items():
+        texts = [[_share(one.tasks.get(task), name) for task in table.tasks] for one in table.datasets]
+        if any(text != "–" for of in texts for text in of):
+            rows.append(Row(heading=title))
+            rows += [row(one.manifest.label, str(one.manifest.seed), *of) for one, of in zip(table.datasets, texts, strict=True)]
+    return tuple(rows)
+
+
+def _share(found: TaskMeasures | None, name: str) -> str:
+    value = None if found is None else getattr(found, name)
+    return "–" if value is None else f"{value:.3f}"
 
 
 def _narrow(entry: Entry | None, column: Column) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import ceil
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from cudc_bench.text import plain
 
 from ...datasets.quality import BINS, Quality, QualityTable
 from ...methods import styles
+from ...numbers.figures import Correlations
 from .drawing import framed, plain_powers
 
 if TYPE_CHECKING:
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _COLUMNS = 4
+_COLOUR = "#0072B2"  # Okabe and Ito's blue: no method's alone, of whom nothing is told
 
 
 def draw_density(table: QualityTable) -> Figure:
@@ -50,4 +54,40 @@ def density_panels(title: str, tasks: Sequence[str], lines: Mapping[str, tuple[S
         if index % _COLUMNS == 0:
             panel.set_ylabel("density")
     panels[0].set_ylim(bottom=max(lowest / 2, 1e-5))
+    return figure
+
+
+def draw_correlations(shown: Correlations) -> Figure:
+    """A panel for each learner, a row for each measure: its rank correlation, from -1 to 1, and the 95 % interval; hollow without one."""
+    from matplotlib.figure import Figure
+
+    panels, measures = shown.panels, list(shown.measures)
+    columns = min(len(panels), _COLUMNS)
+    lines = ceil(len(panels) / columns)
+    width = max(2.0 * columns + 1.8, 6.4)
+    title = "\n".join(wrap(shown.title, int(width * 12.5)))
+    figure = Figure(figsize=(width, lines * (0.22 * len(measures) + 0.9) + 0.2 * title.count("\n") + 0.4))
+    axes = list(figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False).flat)
+    figure.suptitle(title, fontsize=9)
+    for panel, (learner, found) in zip(axes, panels.items(), strict=False):
+        panel.axvline(0.0, color="#404040", linewidth=0.8)
+        for measure, one in found.items():
+            row = measures.index(measure)
+            if one.interval is not None:
+                panel.plot([one.interval.low, one.interval.high], [row, row], color=_COLOUR, linewidth=2.4, solid_capstyle="butt")
+            face = "white" if one.interval is None else _COLOUR
+            panel.plot([one.value], [row], marker="o", markersize=4.5, color=face, markeredgecolor=_COLOUR, clip_on=False)
+        panel.set_title(learner)
+        panel.set_xlabel("Spearman's ρ")
+        panel.grid(axis="x", linewidth=0.4, color="#DDDDDD")
+        panel.set_axisbelow(True)
+        panel.tick_params(labelbottom=True)
+        panel.tick_params(axis="y", length=0)
+        panel.spines["left"].set_visible(False)
+    axes[0].set_xlim(-1, 1)
+    axes[0].set_xticks([-1, -0.5, 0, 0.5, 1])
+    axes[0].set_ylim(len(measures) - 0.5, -0.5)
+    axes[0].set_yticks(range(len(measures)), measures)
+    for panel in axes[len(panels) :]:
+        panel.set_visible(False)
     return figure

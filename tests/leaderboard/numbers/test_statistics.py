@@ -516,3 +516,72 @@ def test_everything_is_within_bounds_and_no_order_matters(x: np.ndarray, data: s
         low, high = ours.profile_band(xs, np.linspace(0, 1, 5))
         share = ours.profile(xs, np.linspace(0, 1, 5))
         assert ((low >= 0) & (low <= share + 1e-12) & (share - 1e-12 <= high) & (high <= 1)).all()
+
+
+# Rank correlations
+
+
+def test_rank_correlations_by_hand() -> None:
+    """Of 1 2 3 4 5 and 2 1 4 3 5: 1 - 6 (1 + 1 + 1 + 1) / (5 x 24)."""
+    x, y = np.array([[1.0], [2.0], [3.0], [4.0], [5.0]]), np.array([[2.0], [1.0], [4.0], [3.0], [5.0]])
+    assert ours.rank_correlation(x, y) == pytest.approx(0.8)
+    assert ours.rank_correlation(x, -np.exp(x)) == pytest.approx(-1.0)
+    assert ours.rank_correlation(np.hstack([x, x]), np.hstack([y, -x])) == pytest.approx(-0.1)
+    # A task on which one of both is always the same says nothing.
+    assert ours.rank_correlation(np.hstack([x, x]), np.hstack([y, np.ones((5, 1))])) == pytest.approx(0.8)
+    assert ours.rank_correlation(x, np.ones((5, 1))) is None
+
+
+def test_rank_correlations_are_scipys_also_of_ties() -> None:
+    for _ in range(20):
+        x, y = RNG.integers(0, 4, (2, 9, 3)).astype(float)
+        expected = np.mean([stats.spearmanr(a, b).statistic for a, b in zip(x.T, y.T, strict=True)])
+        assert ours.rank_correlation(x, y) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_cluster_is_drawn_with_all_its_datasets() -> None:
+    """The percentiles of correlations of datasets that are gathered one resample after the other."""
+    x, y = RNG.normal(size=(2, 9, 2))
+    clusters = ["b", "a", "b", "c", "a", "d", "e", "e", "e"]
+    names = sorted(set(clusters))
+    values = []
+    for drawn in ours.draw(5, 1, "name", 400)[:, 0]:
+        rows = [row for one in drawn for row, cluster in enumerate(clusters) if cluster == names[one]]
+        values.append(np.mean([stats.spearmanr(x[rows, task], y[rows, task]).statistic for task in range(2)]))
+    found = ours.rank_correlation_interval(x, y, clusters, "name", 400)
+    assert found is not None
+    assert (found.low, found.high) == pytest.approx(np.nanquantile(values, (0.025, 0.975)), abs=1e-9)
+    assert ours.rank_correlation_interval(x, np.ones((9, 2)), clusters, "name", 50) is None
+
+
+@pytest.mark.parametrize("collectors", [5, 15])
+@pytest.mark.parametrize("strength", [0.0, 0.6, 0.9])
+def test_the_interval_of_a_rank_correlation_holds_the_truth(collectors: int, strength: float) -> None:
+    """Of collectors with five datasets each, whose measures, and scores on four tasks, have nine tenths of their variance in common.
+
+    Drawing datasets as if each were a collector of its own holds it less often.
+    """
+    generator, shared = np.random.default_rng(6), 0.9
+
+    def drawn() -> tuple[np.ndarray, np.ndarray]:
+        def part() -> np.ndarray:
+            common, own = generator.normal(size=(collectors, 1)), generator.normal(size=(collectors, 5))
+            return (shared**0.5 * common + (1 - shared) ** 0.5 * own).ravel()
+
+        x, dataset = part(), part()
+        tasks = [strength * x + (1 - strength**2) ** 0.5 * (0.6**0.5 * dataset + 0.4**0.5 * part()) for _ in range(4)]
+        return np.stack([x] * 4, 1), np.stack(tasks, 1)
+
+    # Two normal variables of this correlation (Pearson 1907).
+    truth = 6 / np.pi * np.arcsin(strength / 2)
+    repeats, names = REPEATS // 5, [f"{one}" for one in range(5 * collectors)]
+    held = {"collectors": 0, "datasets": 0}
+    for repeat in range(repeats):
+        x, y = drawn()
+        for kind, clusters in (("collectors", [names[place // 5] for place in range(len(x))]), ("datasets", names)):
+            found = ours.rank_correlation_interval(x, y, clusters, f"{repeat}", 400)
+            held[kind] += found is not None and found.low <= truth <= found.high
+    shown = ", ".join(f"{kind} {100 * hits / repeats:.1f}" for kind, hits in held.items())
+    print(f"coverage, rank correlation {truth:.2f}, {collectors} collectors: {shown}")
+    assert held["collectors"] / repeats > 0.87 - error(0.87, repeats)
+    assert held["datasets"] / repeats < 0.87
