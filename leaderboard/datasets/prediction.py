@@ -8,7 +8,7 @@ since recall, precision and SACo are measured by them.
 
 Intervals are percentiles of a cluster bootstrap whose clusters are collectors, each with all of its datasets, and these with all tasks.
 Datasets of one collector are alike: where nine tenths of the variance is between collectors, percentiles of resampled datasets hold the
-truth in 59 to 79 % of cases, those of resampled collectors in 92 to 97 % (docs/explanation/statistics.md).
+truth in 61 to 76 % of cases, those of resampled collectors in 92 to 96 % (docs/explanation/statistics.md).
 """
 
 from __future__ import annotations
@@ -229,17 +229,14 @@ def _part(title: str, rows: Mapping[str, Sequence[Entry | None]]) -> Part:
 
 
 def _entry(scored: _Scored, measure: str, tasks: Sequence[str]) -> Entry | None:
-    """The correlation over those of some tasks on which all datasets have the measure; None where there is none."""
-    values = {task: [MEASURES[measure](one, task) for one in scored.datasets] for task in tasks if task in scored.tasks}
-    having = [task for task, of in values.items() if None not in of]
-    if not having:
+    """The correlation over some tasks; None where there is none."""
+    chosen = [task for task in tasks if task in scored.tasks]
+    if not chosen:
         return None
-    x = np.array([values[task] for task in having], np.float64).T
-    y = scored.scores[:, [scored.tasks.index(task) for task in having]]
-    value = rank_correlation(x, y)
-    if value is None:
-        return None
-    interval = None
-    if len(set(scored.collectors)) >= FEWEST:
+    # What a dataset lacks is NaN, so that its task does not count.
+    x = np.array([[MEASURES[measure](one, task) for task in chosen] for one in scored.datasets], np.float64)
+    y = scored.scores[:, [scored.tasks.index(task) for task in chosen]]
+    value, interval = rank_correlation(x, y), None
+    if value is not None and len(set(scored.collectors)) >= FEWEST:
         interval = rank_correlation_interval(x, y, scored.collectors, f"rank correlation {scored.block.slug}")
-    return Entry(value, None, interval, len(scored.datasets))
+    return None if value is None else Entry(value, None, interval, len(scored.datasets))

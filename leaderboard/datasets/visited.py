@@ -24,6 +24,7 @@ from cudc_bench.envs import Domain
 from cudc_bench.execution.progress import Advance
 
 Integers = NDArray[np.int64]
+_SIGNS = 6  # by which actions are told apart
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Visited:
     Attributes:
         cells: their numbers, ascending (n,).
         visits: to each of them (n,).
-        pairs: how many different pairs of a state's cell and of the signs of the action that was taken there it has.
+        pairs: how many different pairs of a state's cell and of :func:`directions` of the action that was taken there it has.
         coverage: of the cells.
     """
 
@@ -52,7 +53,7 @@ class Trail:
 
     def __init__(self, domain: Domain) -> None:
         self._visits = Visits(domain)
-        self._pairs: list[NDArray[np.void]] = []
+        self._pairs: list[Integers] = []
 
     def add(self, quantities: NDArray[np.float64], actions: NDArray[np.float32]) -> None:
         """An episode's quantities (T, Q), those after each of its actions (T, A).
@@ -62,8 +63,7 @@ class Trail:
         """
         cells = self._visits.add(quantities)
         # The state before an action is what the action before it led to.
-        rows = np.hstack([cells[:-1, None].view(np.uint8), np.packbits(actions[1:] > 0, axis=1)])
-        self._pairs.append(np.unique(np.ascontiguousarray(rows).view(f"V{rows.shape[1]}")))
+        self._pairs.append(np.unique(cells[:-1] * 2**_SIGNS + directions(actions[1:])))
 
     @property
     def visited(self) -> Visited:
@@ -71,6 +71,15 @@ class Trail:
         (cells,) = np.nonzero(self._visits.counts)
         pairs = np.unique(np.concatenate(self._pairs)) if self._pairs else ()
         return Visited(cells, self._visits.counts[cells], len(pairs), self._visits.coverage)
+
+
+def directions(actions: NDArray[np.float32]) -> Integers:
+    """Where actions (T, A) push, as one of at most 64 numbers (T,): the signs of six sums, of which each has every sixth actuator.
+
+    For six actuators these are their signs. Those of twelve, taken by themselves, are different ones in most steps of uniform actions.
+    """
+    sums = np.stack([actions[:, place::_SIGNS].sum(1, dtype=np.float64) for place in range(_SIGNS)], 1)
+    return np.asarray((sums > 0) @ 2 ** np.arange(_SIGNS), np.int64)
 
 
 def read_visited(dataset_id: str, manifest: Manifest, domain: Domain, advance: Advance) -> Visited:

@@ -3,8 +3,8 @@
 TQ and SACo are those of Schweighofer et al. 2022, "A Dataset Perspective on Offline Reinforcement Learning" (CoLLAs, arXiv 2111.04714).
 SACo departs from theirs in what a state-action pair is. They count the different ones, of continuous ones after binning each dimension
 by a hundred; of 24 to 78 dimensions nearly all are different then, in any dataset. Here a pair is the cell of the domain's behaviour
-descriptors that the state lies in, and the sign of each actuator's action. Their reference is the replay of the online training that the
-dataset is of; here it is that of TD3 on the task.
+descriptors that the state lies in, and one of 64 directions of the action (:func:`~.visited.directions`). Their reference is the replay of
+the online training that the dataset is of; here it is that of TD3 on the task.
 
 Experts and replays are those of ``cudc-bench tiers``, floors and ceilings those of the leaderboard. All of them belong to one profile; a
 table of datasets that were collected with other settings, or imported, has none, as tables of returns have none (see

@@ -471,7 +471,8 @@ def _choices(values: Integers, size: int) -> Floats:
 def rank_correlation(x: Floats, y: Floats) -> float | None:
     """Spearman's rank correlation of two measures of some datasets on each task, mean over tasks: (n, T), (n, T) -> -1 to 1.
 
-    Ties have the mean of their ranks. Tasks on which one of both is the same for all datasets do not count; None if that is all of them.
+    Ties have the mean of their ranks. Tasks on which one of both is the same for all datasets, or is NaN for one of them, do not count;
+    None if that is all of them.
     """
     (found,) = _rank_correlations(x, y, np.ones((len(x), 1)))
     return None if np.isnan(found) else float(found)

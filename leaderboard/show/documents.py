@@ -335,7 +335,7 @@ class QualityDocument(Document):
         action_std: of each actuator.
         action_saturated: share of action components with a size above 0.95.
         action_correlation: of a component with that of the next step; null where actions never vary.
-        state_action_pairs: different ones of a state's cell and its action's signs; null for a domain without descriptors.
+        state_action_pairs: different ones of a state's cell and of 64 directions of its action; null for a domain without descriptors.
         tasks: what it has of tasks beside others, of those that have a reference, an expert or a replay of its table's profile.
     """
 

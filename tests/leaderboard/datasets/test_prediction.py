@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from statistics import fmean
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +17,7 @@ from cudc_bench.data.descriptors import DescriptorCoverage
 from cudc_bench.leaderboard.datasets import prediction
 from cudc_bench.leaderboard.datasets.prediction import MEASURES, predict
 from cudc_bench.leaderboard.datasets.quality import Quality, QualityTable, TaskMeasures, reward_density
+from cudc_bench.leaderboard.datasets.visited import Visited
 from cudc_bench.leaderboard.numbers.grid import Entry
 from cudc_bench.leaderboard.output.report import prediction_files
 
@@ -38,6 +41,26 @@ def table(*datasets: Quality) -> QualityTable:
     return QualityTable("cpu", "walker", TASKS, "cpu.quality.walker", methods, datasets)
 
 
+def test_measures_are_what_their_names_say() -> None:
+    rewards = [np.array([0.0, 0.1, 0.6, 0.95]), np.array([0.2, 0.2, 0.2, 0.2]), np.array([0.0, 0.0, 0.0, 1.0])]
+    own = replace(
+        quality(3, "icm"), rewards={"walk": reward_density(rewards)}, particle_entropy=7.5, action_correlation=0.25,
+        visited=Visited(np.array([1]), np.array([9]), 17, DescriptorCoverage(1, 0.0)), tasks={"walk": TaskMeasures(1.0, 2.0, 0.3, 0.6)},
+    )  # fmt: skip
+    assert {name: measure(own, "walk") for name, measure in MEASURES.items()} == {
+        "visited cells": 20, "entropy of visits": 1.0, "state-action pairs (SACo)": 17, "particle entropy": 7.5,
+        "mean reward (TQ)": pytest.approx((1.65 + 0.8 + 1.0) / 12), "95 % of trajectories": pytest.approx(0.25 + 0.9 * 0.1625),
+        "best trajectory": pytest.approx(1.65 / 4), "top 1 % of steps": 1.0, "steps > 0.5": 3 / 12, "steps > 0.9": 2 / 12,
+        "expert recall": 0.3, "expert precision": 0.6, "std of actions": 0.375, "actions at bounds": 0.125, "consecutive actions": 0.25,
+    }  # fmt: skip
+    bare = replace(own, coverage=None, particle_entropy=None, action_correlation=None, visited=None, tasks={})
+    lacking = {name for name, measure in MEASURES.items() if measure(bare, "walk") is None}
+    assert lacking == {
+        "visited cells", "entropy of visits", "state-action pairs (SACo)", "particle entropy", "expert recall", "expert precision",
+        "consecutive actions",
+    }  # fmt: skip
+
+
 @pytest.fixture(autouse=True)
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every dataset of a record is on this machine, and was collected as it is named, but for those with another fingerprint."""
@@ -57,9 +80,9 @@ def rows(grid: Any, part: int = 0) -> dict[str, tuple[Entry | None, ...]]:
 
 def test_correlations_are_scipys_mean_over_tasks(make_record: Make) -> None:
     own = table(*(quality(number, method) for number, method in enumerate(METHODS)), quality(5, "expert", tier="expert"))
-    extra = make_record("expert", "stand", final=[999.0], dataset_id="walker/expert-seed1-v0")
+    extra = [make_record("expert", task, final=[999.0], dataset_id="walker/expert-seed1-v0") for task in SCORES]
     part = make_record("icm", "stand", final=[999.0], dataset_id="walker/icm-seed1-v0", dataset_used=100)
-    (found,), remarks = predict([own], [*records(make_record, SCORES), extra, part])
+    (found,), remarks = predict([own], [*records(make_record, SCORES), *extra, part])
     assert remarks == []
     mean, tasks = found.study.tables
     assert [part.title for part in mean.parts] == ["cpu"]
@@ -84,7 +107,8 @@ def test_correlations_are_scipys_mean_over_tasks(make_record: Make) -> None:
 
 def test_several_trainings_on_a_dataset_are_one_score_and_seeds_of_a_collector_one_cluster(make_record: Make) -> None:
     own = table(*(quality(6 * seed + number, method, seed) for seed in (1, 2) for number, method in enumerate(METHODS[:4])))
-    once, again = {"walk": SCORES["walk"]}, {"walk": [2 * score for score in SCORES["walk"]]}
+    once, again = {"walk": SCORES["walk"]}, {"walk": [10.0, 80.0, 200.0, 30.0, 0.0, 0.0]}
+    means = [fmean(of) for of in zip(once["walk"], again["walk"], strict=True)]
     trained = [(seed, training, of) for seed in (1, 2) for training, of in ((1, once), (7, again))]
     given = [
         one.model_copy(update={"seed": training})
@@ -95,7 +119,7 @@ def test_several_trainings_on_a_dataset_are_one_score_and_seeds_of_a_collector_o
     (entry,) = rows(found.study.tables[0])["visited cells"]
     assert entry is not None
     assert (entry.n, entry.interval) == (8, None)
-    assert entry.value == pytest.approx(stats.spearmanr(CELLS[:4] * 2, SCORES["walk"][:4] * 2).statistic, rel=1e-12)
+    assert entry.value == pytest.approx(stats.spearmanr(CELLS[:4] * 2, means[:4] * 2).statistic, rel=1e-12)
     assert found.study.notes == ("there are no intervals where there are fewer than 5 collectors: td3 has 4.",)
 
 
@@ -107,9 +131,10 @@ def test_too_few_datasets_have_no_correlation_but_a_line(make_record: Make) -> N
     assert found == []
     line = "cpu.quality.walker: no correlation of measures with scores of td3: it takes 5 datasets that have both on stand, walk, not 4."
     assert remarks == [line]
-    # One more is enough.
-    (found, *_), remarks = predict([own], [one for one in given if one.dataset.method != "icm"])
-    assert remarks == []
+    # One more is enough. A sixth was not evaluated at the last milestone.
+    early = [make_record("icm", task, scores=((0, [0.0]), (10_000, [1.0])), dataset_id="walker/icm-seed1-v0") for task in SCORES]
+    (found, *_), remarks = predict([own], [*early, *(one for one in given if one.dataset.method != "icm")])
+    assert remarks == ["table cpu.td3.walker: walker/icm-seed1-v0 (seed 1) was not evaluated at milestone 20000."] * 2
     assert [entry and entry.n for entry in rows(found.study.tables[0])["mean reward (TQ)"]] == [5]
 
 

@@ -529,6 +529,7 @@ def test_rank_correlations_by_hand() -> None:
     assert ours.rank_correlation(np.hstack([x, x]), np.hstack([y, -x])) == pytest.approx(-0.1)
     # A task on which one of both is always the same says nothing.
     assert ours.rank_correlation(np.hstack([x, x]), np.hstack([y, np.ones((5, 1))])) == pytest.approx(0.8)
+    assert ours.rank_correlation(np.hstack([x, x]), np.hstack([y, np.array([[1.0, 2.0, np.nan, 4.0, 5.0]]).T])) == pytest.approx(0.8)
     assert ours.rank_correlation(x, np.ones((5, 1))) is None
 
 
@@ -583,5 +584,5 @@ def test_the_interval_of_a_rank_correlation_holds_the_truth(collectors: int, str
             held[kind] += found is not None and found.low <= truth <= found.high
     shown = ", ".join(f"{kind} {100 * hits / repeats:.1f}" for kind, hits in held.items())
     print(f"coverage, rank correlation {truth:.2f}, {collectors} collectors: {shown}")
-    assert held["collectors"] / repeats > 0.87 - error(0.87, repeats)
+    assert held["collectors"] / repeats > 0.92 - error(0.92, repeats)
     assert held["datasets"] / repeats < 0.87

@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 
 from cudc_bench.cli.tables import Table as Shown
 from cudc_bench.leaderboard.api import make_leaderboard
-from cudc_bench.leaderboard.datasets.quality import Quality, QualityReport, QualityTable, RewardDensity
+from cudc_bench.leaderboard.datasets.quality import Quality, QualityTable, RewardDensity, TaskMeasures
 from cudc_bench.leaderboard.numbers.table import Table, build_tables
 from cudc_bench.leaderboard.output.report import Report
 from cudc_bench.leaderboard.show.documents import of_leaderboard, of_stats
@@ -125,7 +125,8 @@ def test_a_script_gets_the_numbers_of_the_tables(report: Report) -> None:
 def quality(method: str, tasks: tuple[str, ...]) -> Quality:
     density = RewardDensity(0.123, (0.1, 0.2, 0.3, 0.4), 0.9, 0.8, 0.25, 0.125, (1.0,) * 50)
     manifest: Any = SimpleNamespace(label=method, seed=1)
-    return Quality("jaco/x-v0", manifest, dict.fromkeys(tasks, density), None, float("-inf"), (0.5, 0.25), 0.125, None)
+    beside = {tasks[0]: TaskMeasures(0.25, None, 0.75, 1.0)}
+    return Quality("jaco/x-v0", manifest, dict.fromkeys(tasks, density), None, float("-inf"), (0.5, 0.25), 0.125, None, tasks=beside)
 
 
 @pytest.mark.parametrize("width", [60, 80])
@@ -133,8 +134,11 @@ def test_what_datasets_are_worth_is_whole(width: int) -> None:
     methods = ("cudc-no-regularize (ExORL)", "cudc-no-inverse (ExORL)", "proto (ExORL)", "random")
     table = QualityTable("cpu", "jaco", JACO, "slug", methods, tuple(quality(method, JACO) for method in methods))
     check(of_quality(table), width)
-    (found,) = of_stats(QualityReport([table], ["a remark"], [Path("a.md")])).tables
+    (found,) = of_stats([table], [], ["a remark"], [Path("a.md")]).tables
     assert [one.method for one in found.datasets] == list(methods)
     one = found.datasets[0]
     assert one.rewards["reach_top_left"].quantiles == [0.1, 0.2, 0.3, 0.4]
-    assert (one.coverage_cells, one.particle_entropy, one.action_saturated) == (None, None, 0.125)
+    assert (one.coverage_cells, one.particle_entropy, one.action_saturated, one.state_action_pairs) == (None, None, 0.125, None)
+    assert {task: found.model_dump() for task, found in one.tasks.items()} == {
+        "reach_top_left": {"trajectory_quality": 0.25, "coverage_ratio": None, "expert_recall": 0.75, "expert_precision": 1.0}
+    }
