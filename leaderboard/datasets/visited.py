@@ -3,9 +3,10 @@
 Two sets of states are compared as Kynkäänniemi et al. 2019, "Improved Precision and Recall Metric for Assessing Generative Models"
 (NeurIPS), compare two sets of images: *precision* is the share of the one that lies where the other is, *recall* the share of the other
 that lies where the one is. Departs from them in what "where" means: theirs are balls around the points of a sample, up to the third
-neighbour's distance; here they are the cells in which coverage is counted. Balls grow where data are sparse, so that in 24 to 78
-dimensions few points far apart cover what lies between them, and the smaller the sample is, the more. Cells are of one size for all
-datasets and take all states. What they cannot see is what descriptors leave out, such as where the legs are.
+neighbour's distance; here it is the cells in which coverage is counted. A few points far out have balls that cover what nobody visited
+(Naeem et al. 2020, "Reliable Fidelity and Diversity Metrics for Generative Models", ICML), and in 24 to 78 dimensions what comes out is
+decided by how many points a sample has; balls of the expert's alone, as theirs, hold next to none of anybody else's states there. Cells
+are of one size for all datasets, and take all states. What they cannot see is what descriptors leave out, such as where the legs are.
 """
 
 from __future__ import annotations
