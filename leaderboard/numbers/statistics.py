@@ -478,7 +478,7 @@ def rank_correlation(x: Floats, y: Floats) -> float | None:
     return None if np.isnan(found) else float(found)
 
 
-def rank_correlation_interval(x: Floats, y: Floats, clusters: Sequence[str], name: str, resamples: int = RESAMPLES) -> Interval | None:
+def rank_correlation_interval(x: Floats, y: Floats, clusters: Sequence[str], name: str, resamples: int = 2_000) -> Interval | None:
     """The 95 % interval of :func:`rank_correlation`: percentiles of a cluster bootstrap; None where no resample has a correlation.
 
     Clusters are drawn with replacement, each with all of its datasets and these with all tasks. Resamples in which one of both is the same
@@ -488,7 +488,7 @@ def rank_correlation_interval(x: Floats, y: Floats, clusters: Sequence[str], nam
         x, y: as there.
         clusters: to which each of the datasets belongs (n,): those of one are alike.
         name: what the draws are of, see :func:`draw`.
-        resamples: how many.
+        resamples: how many; there are hundreds of such intervals beside each other.
     """
     names, belongs = np.unique(clusters, return_inverse=True)
     counts = counted(draw(len(names), 1, name, resamples))[0, belongs].astype(np.float64)

@@ -20,6 +20,7 @@ from cudc_bench.leaderboard.datasets.quality import Quality, QualityTable, TaskM
 from cudc_bench.leaderboard.datasets.visited import Visited
 from cudc_bench.leaderboard.numbers.grid import Entry
 from cudc_bench.leaderboard.output.report import prediction_files
+from cudc_bench.leaderboard.show.documents import of_stats
 
 TASKS = ("stand", "walk", "run", "flip")
 METHODS = ("icm", "apt", "rnd", "cic", "smm", "cudc")
@@ -159,6 +160,13 @@ def test_files_of_one_learner(make_record: Make) -> None:
     assert set(files) == {f"prediction{end}" for end in (".md", ".tex", "-mean.csv", "-tasks.csv", ".svg", ".pdf")}
     assert b"Spearman's" in bytes(files["prediction.svg"])  # type: ignore[arg-type]
     assert "| visited cells |" in str(files["prediction.md"])
+    (shown,) = of_stats([own], [found], [], []).predictions
+    cells = {(cell.labels[0], cell.column): cell for cell in shown.tables[0].cells}
+    entry = rows(found.study.tables[0])["visited cells"][0]
+    assert entry is not None
+    assert entry.interval is not None
+    cell = cells["visited cells", "td3"]
+    assert (cell.value, cell.low, cell.high, cell.seeds) == (entry.value, entry.interval.low, entry.interval.high, 6)
 
 
 def test_scores_on_what_is_not_here_are_named(make_record: Make) -> None:
