@@ -132,7 +132,7 @@ def predict(tables: Sequence[QualityTable], records: Iterable[Record]) -> tuple[
     for table in tables:
         blocks, problems = build_blocks(own.get(table.slug, ()))
         remarks += problems
-        scored = [_scored(block, table, qualities) for block in blocks]
+        scored = [one for block in blocks if (one := _scored(block, table, qualities)).tasks]
         remarks += [
             f"{table.slug}: no correlation of measures with scores of {one.block.algorithm}: it takes {FEWEST} datasets that have both on"
             f" {', '.join(one.tasks)}, not {len(one.datasets)}."
