@@ -20,6 +20,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,6 +30,7 @@ import torch
 
 from cudc_bench import plugins
 from cudc_bench.envs import DOMAINS, make_simulators, reward_function
+from cudc_bench.envs.simulator import Float32
 from cudc_bench.execution.checkpoints import Checkpoints, digest
 from cudc_bench.learning.cpu_graphs import RecordedGraph
 from cudc_bench.learning.cuda_graphs import WARM_UP, Graph, Updater
@@ -41,7 +43,7 @@ from .zero_shot import Labelled
 
 SMALL = {"width": 16, "batch_size": 32, "learning_rate": 1e-3}
 # What is proved about the loop is the same for episodes of any length.
-BRIEF = replace(DOMAINS["walker"], episode_length=50)
+BRIEF = replace(DOMAINS["walker"], episode_length=20)
 
 
 def make(name: str = "td3", seeds: Sequence[int] = (1,), observation: int = 24, action: int = 6, **settings: Any) -> Any:
@@ -108,12 +110,12 @@ def low_variety(batch: Batch, scale: float, kinds: int = 6) -> Batch:
     return few
 
 
-def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episodes:
-    """Episodes of uniformly random actions on Walker, labelled with the live rewards of a task, for a stack of members."""
+@cache
+def _random_walker(episodes: int) -> list[tuple[torch.Tensor, torch.Tensor, Float32]]:
+    """Observations (T+1, S), actions (T, A) and the rewards of all tasks (T, N) of episodes of uniformly random actions on Walker."""
     simulator, rewards = make_simulators("walker", 1)[0], reward_function("walker")
     rng = np.random.default_rng(0)
-    data = Episodes(1, episodes, episodes * 1000, 24, 6, MemberRandom(seeds, "replay"), [0] * len(seeds))
-    labels = []
+    found = []
     for episode in range(episodes):
         observations = np.empty((1001, 24), np.float32)
         actions = rng.uniform(-1, 1, (1000, 6)).astype(np.float32)
@@ -124,9 +126,18 @@ def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episod
             simulator.step(action)
             simulator.observe(observations[t + 1])
             simulator.quantities(quantities[t])
-        data.add(0, torch.from_numpy(observations), torch.from_numpy(actions))
-        labels.append(rewards(quantities)[:, DOMAINS["walker"].tasks.index(task)])
-    data.rewards = torch.from_numpy(np.concatenate(labels).astype(np.float32)).expand(len(seeds), -1).contiguous()
+        found.append((torch.from_numpy(observations), torch.from_numpy(actions), rewards(quantities).astype(np.float32)))
+    return found
+
+
+def random_walker_data(episodes: int, task: str, seeds: Sequence[int]) -> Episodes:
+    """Episodes of uniformly random actions on Walker, labelled with the live rewards of a task, for a stack of members."""
+    data = Episodes(1, episodes, episodes * 1000, 24, 6, MemberRandom(seeds, "replay"), [0] * len(seeds))
+    labels, column = [], DOMAINS["walker"].tasks.index(task)
+    for observations, actions, rewards in _random_walker(episodes):
+        data.add(0, observations, actions)
+        labels.append(torch.from_numpy(rewards[:, column]))
+    data.rewards = torch.cat(labels).expand(len(seeds), -1).contiguous()
     return data
 
 
@@ -235,9 +246,9 @@ class EvaluatorContract:
         """In what they measure (their own losses) at every update, and in how they act; first on plain data, then on data of little
         variety, on which what one member has in common with another is most of what there is."""
         together, alone = make(name, (5, 6)), make(name, (6,))
-        for step in range(24):
+        for step in range(14):
             batch = batch_for(together, seed=step, measure=True)
-            if step >= 10:
+            if step >= 6:
                 # What is drawn from all members, such as a maximum or a mean, is now the first one's, or the second one's.
                 batch = low_variety(batch, (0.1, 10.0)[step % 2])
             metrics = together.update(batch)
@@ -246,7 +257,7 @@ class EvaluatorContract:
                     metrics[key][1:], value, atol=2e-4, rtol=2e-3,
                     msg=_differs(key, step),
                 )  # fmt: skip
-            if step == 9:
+            if step == 5:
                 self._check_same_actions(together, alone)
 
     def _check_same_actions(self, together: Any, alone: Any) -> None:
@@ -329,7 +340,7 @@ class EvaluatorContract:
         assert first == second, f"two runs with one seed ended otherwise: {STATE}"
 
     def test_a_run_that_was_stopped_ends_as_if_it_had_not_been(self, name: str, tmp_path: Path) -> None:
-        config = EvaluateConfig(gradient_steps=25, evaluate_every=10, evaluation_episodes=1, final_episodes=2, milestones=(10, 25))
+        config = EvaluateConfig(gradient_steps=15, evaluate_every=6, evaluation_episodes=1, final_episodes=2, milestones=(6, 15))
 
         arena = Arena(BRIEF, ["stand", "walk"])
 
@@ -337,7 +348,7 @@ class EvaluatorContract:
             return run_evaluation(agent, random_walker_data(1, "stand", (3, 4)), config, arena, lambda n: None, (), checkpoints)
 
         whole = run(None, make(name, (3, 4)))
-        for stop in (7, 20):
+        for stop in (5, 12):
             agent = make(name, (3, 4))
             update, count = agent.update, [0]
 
