@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -83,6 +84,24 @@ def smoke(collected_once: Path, datasets: Path) -> Path:
     """The test's own copy of the collected datasets, in its root."""
     shutil.copytree(collected_once, datasets)
     return datasets
+
+
+@pytest.fixture(scope="session")
+def command_line() -> Any:
+    """The command line: to make it of its functions takes longer than most of what it is asked here, and what comes out is the same."""
+    import typer
+
+    from cudc_bench.cli import app
+
+    return typer.main.get_command(app.build_app())
+
+
+@pytest.fixture
+def ready_command_line(command_line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command line is not made anew for each command that is given in this process."""
+    from cudc_bench.cli import app
+
+    monkeypatch.setattr(app, "build_app", lambda: command_line)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import sys
 import matplotlib.figure  # noqa: F401
 import minari.cli  # noqa: F401
 import torch
+import typer
 
 import cudc_bench
 from cudc_bench import plugins
@@ -19,5 +20,7 @@ for kind in ("collectors", "evaluators", "relabelers", "commands"):
         plugins.load(kind, name)
 for name in cudc_bench.__all__:
     getattr(cudc_bench, name)
-app.build_app()
+# The command line is made of the same functions in every process: to make it takes longer than most of what it is asked.
+command_line = typer.main.get_command(app.build_app())
+app.build_app = lambda: command_line
 torch.set_num_threads(1)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import runpy
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -62,18 +63,26 @@ def run(arguments: Sequence[str], cwd: Path, env: Mapping[str, str], said: Path,
         said: an empty folder, for what it prints.
         brief: see :func:`briefly`.
     """
+    return _finished(_command, ["cudc-bench", *arguments], cwd, env, said, brief)
+
+
+def run_program(program: Path, env: Mapping[str, str], said: Path, brief: bool = False) -> Finished:
+    """Run somebody's program in its folder, as ``python program.py`` does, and wait for its end; see :func:`run`."""
+    return _finished(_program, [str(program)], program.parent, env, said, brief)
+
+
+def _finished(what: Callable[[], None], arguments: list[str], cwd: Path, env: Mapping[str, str], said: Path, brief: bool) -> Finished:
     out, err = said / "out", said / "err"
-    process = _server.Process(target=_main, args=(list(arguments), cwd, dict(env), out, err, brief))
+    process = _server.Process(target=_main, args=(what, arguments, cwd, dict(env), out, err, brief))
     process.start()
     process.join(PATIENCE)
     if process.exitcode is None:
         process.kill()
-        raise TimeoutError(f"cudc-bench {' '.join(arguments)} does not end")
+        raise TimeoutError(f"{' '.join(arguments)} does not end")
     return Finished(process.exitcode, out.read_text(), err.read_text())
 
 
-def _main(arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: Path, brief: bool) -> None:
-    """Become what ``python -m cudc_bench.cli`` is; the processes that it starts in turn take it for that."""
+def _main(what: Callable[[], None], arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: Path, brief: bool) -> None:
     for number, path in ((1, out), (2, err)):
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(file, number)
@@ -81,10 +90,19 @@ def _main(arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: 
     os.chdir(cwd)
     os.environ.clear()
     os.environ.update(env)
-    sys.argv = ["cudc-bench", *arguments]
-    sys.path.insert(0, str(cwd))  # as ``python -m`` does
+    sys.argv = arguments
+    sys.path.insert(0, str(cwd))  # as ``python -m`` and ``python program.py`` do
+    with briefly() if brief else nullcontext():
+        what()
+
+
+def _command() -> None:
+    """Become what ``python -m cudc_bench.cli`` is; the processes that it starts in turn take it for that."""
     from cudc_bench.cli import __main__ as command
 
     sys.modules["__main__"] = command
-    with briefly() if brief else nullcontext():
-        command.main()
+    command.main()
+
+
+def _program() -> None:
+    runpy.run_path(sys.argv[0], run_name="__main__")

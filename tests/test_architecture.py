@@ -246,10 +246,11 @@ FIRST = {module.split(".")[1]: module for module in sorted(plugins.target("stage
 
 
 # Importing a subpackage makes it an attribute of the package, whatever stood there: no function may share its name.
-@pytest.mark.parametrize("first", ["", *(f"import {module}" for module in FIRST.values())])
-def test_public_names_are_there(first: str, python: Callable) -> None:
+@pytest.mark.parametrize("before", [[], list(FIRST.values())], ids=["nothing", "all stages"])
+def test_public_names_are_there_whatever_was_imported(before: list[str], python: Callable) -> None:
     script = f"""
-{first}
+for module in {before}:
+    __import__(module)
 import cudc_bench
 for name in cudc_bench.__all__:
     assert callable(getattr(cudc_bench, name)), name
@@ -260,6 +261,21 @@ except AttributeError as error:
     print(error)
 """
     assert python(script) == (0, "module 'cudc_bench' has no attribute 'nothing'\n", "")
+
+
+def test_any_stage_can_be_imported_first(python: Callable) -> None:
+    """In processes of their own, forked from one that has what others have written."""
+    script = f"""
+import os, sys
+import minari, pandas, pydantic, torch, typer
+for module in {list(FIRST.values())}:
+    if not (child := os.fork()):
+        assert not any(name.split(".")[0] == "cudc_bench" for name in sys.modules)
+        __import__(module)
+        sys.exit()
+    assert os.waitpid(child, 0)[1] == 0, module
+"""
+    assert python(script) == (0, "", "")
 
 
 # ----------------------------------------------------------------------------------------------------------------------------- tests

@@ -17,6 +17,7 @@ import cudc_bench
 from cudc_bench.cli.app import main
 from cudc_bench.envs.drawing import probe
 
+from .. import served
 from ..waiting import PATIENCE
 from .pages import PAGES, ROOT, block, blocks, commands
 
@@ -60,11 +61,16 @@ def at_smoke(text: str) -> str:
 
 
 @pytest.fixture
-def run(environment: dict[str, str], tmp_path: Path) -> Callable[..., str]:
-    """Runs a program's text as a file in ``tmp_path``, and returns what it printed."""
+def run(environment: dict[str, str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Runs a program's text as a file in ``tmp_path``, in a new process or in a forked one, and returns what it printed."""
 
-    def done(code: str) -> str:
-        (tmp_path / "program.py").write_text(at_smoke(code))
+    def done(code: str, anew: bool = False, brief: bool = False) -> str:
+        program = tmp_path / "program.py"
+        program.write_text(at_smoke(code))
+        if not anew and served.can_serve(environment):
+            found = served.run_program(program, environment, tmp_path_factory.mktemp("said"), brief)
+            assert found.code == 0, found.err
+            return found.out
         command = [sys.executable, "program.py"]
         found = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE)
         assert found.returncode == 0, found.stderr
@@ -74,7 +80,9 @@ def run(environment: dict[str, str], tmp_path: Path) -> Callable[..., str]:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], ready_command_line: None
+) -> Callable[..., str]:
     """Gives a command of ours in this process, which spares the seconds of loading PyTorch, in ``tmp_path`` at the smoke profile; returns
     what it printed."""
     monkeypatch.chdir(tmp_path)
@@ -93,11 +101,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
 
 @pytest.fixture
 def follow(here: Callable[..., str]) -> Callable[[str], list[str]]:
-    """Gives all commands of ours in a page, in their order, at the smoke profile; returns what they printed."""
+    """Gives all commands of ours in a page, in their order, at the smoke profile and with short films; returns what they printed."""
 
     def done(page: str) -> list[str]:
         ours = [words[1:] for _, words in commands(page) if words[0] == "cudc-bench"]
-        return [here(*map(at_smoke, words)) for words in ours]
+        return [here(*map(at_smoke, words), *(("--seconds", "0.2") if words[0] == "compare" else ())) for words in ours]
 
     return done
 
@@ -113,7 +121,7 @@ def test_every_block_of_python_is_run_somewhere() -> None:
 
 
 def test_the_readmes_program(run: Callable[..., str], tmp_path: Path) -> None:
-    assert run(block("README.md", "__main__")).startswith("(3000, 24) (3000, 6) 0.0")
+    assert run(block("README.md", "__main__"), anew=True).startswith("(3000, 24) (3000, 6) 0.0")
     assert len(list((tmp_path / "results").rglob("*.json"))) == 1
 
 
@@ -162,27 +170,27 @@ def test_jax_trains(run: Callable[..., str], smoke: Path) -> None:
 
 
 def test_policies_leave(here: Callable[..., str], run: Callable[..., str], smoke: Path, tmp_path: Path) -> None:
-    here("evaluate", "--algo", "td3", "--task", "walk")
+    with served.briefly():  # a film lasts as long as the episode
+        here("evaluate", "--algo", "td3", "--task", "walk")
     folder = tmp_path / "results/smoke/walker/walk/cudc-smoke-v0"
     code = block(POLICIES, "render_policy")
     if probe() is None:
         code = re.sub(r".*render_policy.*\n", "", code)
     given = "import numpy as np\n\nobservation = np.zeros((2, 24), np.float32)\n"
-    assert run(f"{given}{code}print(action.shape)").strip() == "(2, 6)"
+    assert run(f"{given}{code}print(action.shape)", brief=True).strip() == "(2, 6)"
     assert probe() is None or (tmp_path / "walk.gif").exists()
     shutil.copy(folder / "td3-seed1.pt2", tmp_path)
     given = "import torch\n\nobservation = torch.zeros(2, 24)\n"
-    assert run(f"{given}{block(POLICIES, 'torch.export.load')}print(tuple(action.shape))").strip() == "(2, 6)"
+    assert run(f"{given}{block(POLICIES, 'torch.export.load')}print(tuple(action.shape))", anew=True).strip() == "(2, 6)"
 
 
-@pytest.mark.parametrize("page", [f"docs/how-to/{name}.md" for name in ("diagnostics", "leaderboard", "verify")])
-def test_what_looks_at_results_looks(
-    page: str, here: Callable[..., str], follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path
-) -> None:
+def test_what_looks_at_results_looks(here: Callable[..., str], follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path) -> None:
     here("evaluate", "--algo", "td3", "--task", "walk")
     here("collect", "--method", "random")
-    follow(page)
-    assert page.endswith("verify.md") or list((tmp_path / "report").iterdir())
+    for name in ("diagnostics", "leaderboard", "verify"):
+        follow(f"docs/how-to/{name}.md")
+        assert name == "verify" or list((tmp_path / "report").iterdir())
+        shutil.rmtree(tmp_path / "report", ignore_errors=True)
 
 
 def test_what_is_published_stands_by_itself(here: Callable[..., str], smoke: Path) -> None:

@@ -40,6 +40,9 @@ IDS = {
     one: domain for domain, tasks in TASKS.items() for one in (f"cudc_bench/{domain}-v0", *(f"cudc_bench/{domain}-{t}-v0" for t in tasks))
 }  # fmt: skip
 
+# Each mode of each takes a process that draws. A task changes the picture in nothing but Jaco's target.
+DRAWN = {*map(env_id, DOMAINS), "cudc_bench/jaco-reach_top_left-v0"}
+
 
 def test_the_benchmark_has_three_domains_and_twelve_tasks() -> None:
     assert {name: domain.tasks for name, domain in DOMAINS.items()} == TASKS
@@ -69,7 +72,7 @@ def test_ids_are_registered_with_a_string_entry_point(one: str) -> None:
 def test_gymnasiums_checker_passes(one: str) -> None:
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        check_env(gymnasium.make(one).unwrapped)
+        check_env(gymnasium.make(one).unwrapped, skip_render_check=one not in DRAWN)
     # dm_control's observations are unbounded, on which Gymnasium always remarks.
     ours = [str(w.message) for w in found if "A Box observation space m" not in str(w.message)]
     assert ours == []

@@ -33,7 +33,7 @@ def jump_reward(upright: float, height: float) -> float:
     return stand_reward(upright) * dm_rewards.tolerance(height, bounds=(1.0, INF), margin=1.0, value_at_margin=0.5, sigmoid="linear")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_observations_states_and_rewards_are_dm_controls_bit_for_bit(seed: int) -> None:
     """Two episodes a seed, the second, a shorter one, reset from the generator that the first left behind."""
     plain = {task: suite.load("quadruped", task, task_kwargs={"random": seed}) for task in ("walk", "run")}

@@ -14,7 +14,9 @@ from .smalldisk import Ended
 
 
 @pytest.fixture
-def main(datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+def main(
+    datasets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], ready_command_line: None
+) -> Callable[..., Ended]:
     """``cudc-bench`` within this process, in ``tmp_path``."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CUDC_BENCH_PROFILE", "smoke")

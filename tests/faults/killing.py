@@ -19,13 +19,12 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import minari
-import torch
 
 import cudc_bench
 import cudc_bench.data.writer
@@ -35,7 +34,10 @@ from cudc_bench.leaderboard.output.incremental import LEDGER
 from cudc_bench.suites import scheduler
 from cudc_bench.suites.pool import job_worker
 
-COLLECT = ["collect", "--set", "steps=3300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
+from .. import imported  # noqa: F401
+from ..served import briefly
+
+COLLECT = ["collect", "--set", "steps=2300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
 COMMANDS = {
     "collect": [*COLLECT, "--method", "cudc"],
     "collect with skills": [*COLLECT, "--method", "smm"],
@@ -46,11 +48,12 @@ COMMANDS = {
     "relabel": ["relabel", "walker/cudc-smoke-v0"],
     "evaluate": [
         "evaluate", "--algo", "td3", "--dataset-id", "walker/walk/cudc-smoke-v0", "--set", "gradient_steps=16", "--set", "evaluate_every=8",
-        "--set", "milestones=[8,16]", "--checkpoint-every", "0",
+        "--set", "milestones=[8,16]", "--set", "evaluation_episodes=1", "--set", "final_episodes=1", "--checkpoint-every", "0",
     ],
     "reference": [
-        "reference", "--domain", "jaco", "--task", "reach_top_left", "--seeds", "1-2", "--set", "steps=1100", "--set", "seed_steps=300",
-        "--set", "update_every=30", "--set", "evaluations=2", "--set", "final_episodes=1", "--checkpoint-every", "0",
+        "reference", "--domain", "jaco", "--task", "reach_top_left", "--seeds", "1-2", "--set", "steps=400", "--set", "seed_steps=200",
+        "--set", "update_every=30", "--set", "evaluations=2", "--set", "evaluation_episodes=1", "--set", "final_episodes=1",
+        "--checkpoint-every", "0",
     ],
     "suite": ["run", "suite.toml", "--checkpoint-every", "0"],
 }  # fmt: skip
@@ -230,10 +233,11 @@ def _die_at(owner: Any, name: str, number: int, before: bool) -> None:
         calls += 1
         if calls == number and before:
             os.kill(os.getpid(), signal.SIGKILL)
-        result = real(*arguments, **options)
-        if calls == number:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return result
+        try:
+            return real(*arguments, **options)
+        finally:  # also after one that is refused, as mkdir is where a folder exists
+            if calls == number:
+                os.kill(os.getpid(), signal.SIGKILL)
 
     setattr(owner, name, call)
 
@@ -241,13 +245,13 @@ def _die_at(owner: Any, name: str, number: int, before: bool) -> None:
 @contextmanager
 def prepared() -> Iterator[Path]:
     """A folder in which what every command needs was made, by a process that has then imported everything."""
-    torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         # What a process has imported once, those forked from it need not import again.
         os.environ["MINARI_DATASETS_PATH"] = str(base / "first")
         cudc_bench.relabel(*cudc_bench.collect("cudc", profile="smoke"), ["walk"])
-        cudc_bench.evaluate(tasks=["walk"], profile="smoke", output=base / "results")
+        short = {"evaluate_every": 1, "evaluation_episodes": 1, "final_episodes": 1}
+        cudc_bench.evaluate(tasks=["walk"], profile="smoke", steps=1, settings=short, output=base / "results")
         cudc_bench.make_leaderboard(base / "results", base / "report")
         yield base
 
@@ -274,10 +278,17 @@ def run(what: str, kills: int, base: Path, seed: int = 0) -> dict[str, Any]:
         shutil.copytree(base / "first", needed / "datasets")
     if what == "relabel":
         shutil.rmtree(needed / "datasets" / "walker" / "walk")
-    killer = Killer(what, base / what / "work", needed, seed)
+    # What is trained is tried in short episodes: whoever kills it need not wait for long ones.
+    with briefly({"evaluate": "walker", "reference": "jaco"}[what]) if what in ("evaluate", "reference") else nullcontext():
+        return _kill(Killer(what, base / what / "work", needed, seed), kills)
+
+
+def _kill(killer: Killer, kills: int) -> dict[str, Any]:
     moments = [moment for moment in CALLS if killer.calls[moment]]
-    # Every kind of moment once, then as it comes, half of them by time.
-    plan = [*moments, "time", *(killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills))]
+    # Every kind of moment once, in an order that is drawn, then as it comes, half of them by time.
+    every = [*moments, "time"]
+    plan = killer.random.sample(every, len(every))
+    plan += [killer.random.choice(["time", killer.random.choice(moments)]) for _ in range(kills)]
     for moment in plan[:kills]:
         before = killer.killed.total()
         while killer.killed.total() == before:

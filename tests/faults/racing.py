@@ -18,14 +18,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-import torch
-
 import cudc_bench
 from cudc_bench.artefacts.records import read_record
 from cudc_bench.cli import app as cli
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.execution import locks
 
+from .. import imported  # noqa: F401
 from .smalldisk import Ended, forked
 
 BASE = "walker/random-smoke-v0"
@@ -113,7 +112,6 @@ def run(what: str, times: int, made: Path) -> Counter[str]:
 
 if __name__ == "__main__":
     words = sys.argv[1:]
-    torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         os.environ["MINARI_DATASETS_PATH"] = str(base / "datasets")

@@ -147,12 +147,12 @@ def forked(function: Callable[[], Any], said: Path) -> Callable[[], Ended]:
 def serve(folder: Path) -> None:
     """Answer requests until there are no more."""
     import minari.cli
-    import torch
 
     import cudc_bench
     from cudc_bench.cli import app as cli
 
-    torch.set_num_threads(1)
+    from .. import imported  # noqa: F401
+
     # What a process has imported once, those forked from it need not import again.
     with tempfile.TemporaryDirectory() as name, redirect_stderr(io.StringIO()):
         os.environ["MINARI_DATASETS_PATH"] = name

@@ -24,7 +24,7 @@ from .helpers import COLLECT, EVALUATE, HDF5
 
 
 def test_of_two_that_start_at_the_same_moment_one_works_and_the_other_names_it(tmp_path: Path) -> None:
-    races = {"collect": 16, "relabel": 6, "evaluate": 4}
+    races = {"collect": 8, "relabel": 4, "evaluate": 2}
     command = [sys.executable, "-m", "tests.faults.racing", *(str(word) for pair in races.items() for word in pair)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
