@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -18,16 +18,21 @@ if TYPE_CHECKING:
 
 
 def overall_figure_files(overall: Overall) -> dict[str, bytes]:
-    """``intervals``, ``profiles`` and ``ranks`` of the headline comparison as ``.svg`` and ``.pdf``; see ``figure_files``. And ``domains``.
+    """The figures of a comparison, see :func:`overall_figures`, as ``.svg`` and ``.pdf``; see ``figure_files``."""
+    return {file: data for name, draw in overall_figures(overall).items() for file, data in figure_files(name, draw).items()}
+
+
+def overall_figures(overall: Overall) -> dict[str, Callable[[], Figure]]:
+    """What draws ``intervals``, ``profiles`` and ``ranks`` of the headline comparison, and ``domains``.
 
     Ranks are left out where methods have none, domains if there is only one.
     """
-    files = figure_files("intervals", lambda: draw_intervals(overall)) | figure_files("profiles", lambda: draw_profiles(overall))
+    found = {"intervals": lambda: draw_intervals(overall), "profiles": lambda: draw_profiles(overall)}
     if any(standing.ranks for standing in overall.headline.standings):
-        files |= figure_files("ranks", lambda: draw_ranks(overall))
+        found["ranks"] = lambda: draw_ranks(overall)
     if any(one.scope == ALL for one in overall.comparisons):
-        files |= figure_files("domains", lambda: draw_domains(overall))
-    return files
+        found["domains"] = lambda: draw_domains(overall)
+    return found
 
 
 def draw_intervals(overall: Overall) -> Figure:

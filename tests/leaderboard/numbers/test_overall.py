@@ -29,7 +29,14 @@ from cudc_bench.leaderboard.numbers.statistics import Interval
 from cudc_bench.leaderboard.numbers.table import build_tables
 from cudc_bench.leaderboard.show.csv import of_overall as overall_to_csv
 from cudc_bench.leaderboard.show.csv import of_scores as scores_to_csv
-from cudc_bench.leaderboard.show.figures.comparisons import draw_domains, draw_intervals, draw_profiles, draw_ranks, overall_figure_files
+from cudc_bench.leaderboard.show.figures.comparisons import (
+    draw_domains,
+    draw_intervals,
+    draw_profiles,
+    draw_ranks,
+    overall_figure_files,
+    overall_figures,
+)  # fmt: skip
 from cudc_bench.leaderboard.show.figures.drawing import _STYLE
 from cudc_bench.leaderboard.show.latex import of_overall as overall_to_latex
 from cudc_bench.leaderboard.show.markdown import of_overall as overall_to_markdown
@@ -178,7 +185,7 @@ def test_ranks_are_of_methods_with_the_same_seeds(runs: Callable) -> None:
         comparison = only(records).headline
         assert [standing.ranks for standing in comparison.standings] == [None] * len(comparison.standings), what
         assert comparison.remarks[0] == "No probabilities of ranks: the methods do not have the same collector seeds."
-        assert "ranks.svg" not in overall_figure_files(only(records))
+        assert "ranks" not in overall_figures(only(records))
     assert "rank_1" not in overall_to_csv(only(others["of fewer seeds"]))
     assert "No probabilities of ranks" in overall_to_markdown(only(others["of fewer seeds"]))
     single = only([*runs("cudc", range(1, 2)), *runs("random", range(1, 2))]).headline
@@ -374,21 +381,22 @@ def test_figures_of_twelve_methods_have_no_text_upon_another(runs: Callable) -> 
 
 def test_figures_are_repeatable_and_show_what_they_should(runs: Callable) -> None:
     overall = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm", range(1, 2))])
-    files = overall_figure_files(overall)
-    assert set(files) == {f"{name}.{kind}" for name in ("intervals", "profiles", "domains") for kind in ("svg", "pdf")}
+    assert set(overall_figures(overall)) == {"intervals", "profiles", "domains"}
     ranked = only([*runs("cudc", level=0.5), *runs("random"), *runs("icm")])
-    assert set(overall_figure_files(ranked)) - set(files) == {"ranks.svg", "ranks.pdf"}
-    assert files == overall_figure_files(overall)
-    for name, of in {**dict.fromkeys(("intervals", "profiles", "domains"), files), "ranks": overall_figure_files(ranked)}.items():
-        texts = {element.text for element in ElementTree.fromstring(of[f"{name}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
+    files = overall_figure_files(ranked)
+    names = ("intervals", "profiles", "ranks", "domains")
+    assert set(files) == {f"{name}.{kind}" for name in names for kind in ("svg", "pdf")}
+    assert files == overall_figure_files(ranked)
+    for name in names:
+        texts = {element.text for element in ElementTree.fromstring(files[f"{name}.svg"]).iter("{http://www.w3.org/2000/svg}text")}
         assert {"cudc", "icm", "random"} <= texts
     (panel, *_) = draw_intervals(overall).axes
     lines = {tuple(line.get_xdata()) for line in panel.lines}
     mean = overall.headline.standings[2].estimates["mean"]
     assert {(mean.value,), (mean.interval.low, mean.interval.high), (mean.stratified.low, mean.stratified.high)} <= lines
-    assert "ranks.svg" not in overall_figure_files(only(runs("cudc", range(1, 2))))
+    assert "ranks" not in overall_figures(only(runs("cudc", range(1, 2))))
     every, walker, jaco = draw_domains(overall).axes
     assert [panel.get_title() for panel in (every, walker, jaco)] == [ALL, "walker", "jaco"]
     assert (mean.value,) in {tuple(line.get_xdata()) for line in every.lines}
     assert every.get_xlim() == walker.get_xlim() == jaco.get_xlim()
-    assert "domains.svg" not in overall_figure_files(only(runs("cudc", domains=("jaco",))))
+    assert "domains" not in overall_figures(only(runs("cudc", domains=("jaco",))))
