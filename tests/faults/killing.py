@@ -34,7 +34,6 @@ from cudc_bench.leaderboard.output.incremental import LEDGER
 from cudc_bench.suites import scheduler
 from cudc_bench.suites.pool import job_worker
 
-from .. import imported  # noqa: F401
 from ..served import briefly
 
 COLLECT = ["collect", "--set", "steps=2300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
@@ -245,6 +244,8 @@ def _die_at(owner: Any, name: str, number: int, before: bool) -> None:
 @contextmanager
 def prepared() -> Iterator[Path]:
     """A folder in which what every command needs was made, by a process that has then imported everything."""
+    from .. import imported  # noqa: F401
+
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         # What a process has imported once, those forked from it need not import again.

@@ -24,7 +24,6 @@ from cudc_bench.cli import app as cli
 from cudc_bench.data.reader import verify_fingerprint
 from cudc_bench.execution import locks
 
-from .. import imported  # noqa: F401
 from .smalldisk import Ended, forked
 
 BASE = "walker/random-smoke-v0"
@@ -111,6 +110,8 @@ def run(what: str, times: int, made: Path) -> Counter[str]:
 
 
 if __name__ == "__main__":
+    from .. import imported  # noqa: F401
+
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
