@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 from .waiting import PATIENCE
@@ -74,12 +75,23 @@ def run_program(program: Path, env: Mapping[str, str], said: Path, brief: bool =
 def _finished(what: Callable[[], None], arguments: list[str], cwd: Path, env: Mapping[str, str], said: Path, brief: bool) -> Finished:
     out, err = said / "out", said / "err"
     process = _server.Process(target=_main, args=(what, arguments, cwd, dict(env), out, err, brief))
-    process.start()
+    with _without_program():
+        process.start()
     process.join(PATIENCE)
     if process.exitcode is None:
         process.kill()
         raise TimeoutError(f"{' '.join(arguments)} does not end")
     return Finished(process.exitcode, out.read_text(), err.read_text())
+
+
+@contextmanager
+def _without_program() -> Iterator[None]:
+    """A process that is started meanwhile does not import the program of this one, pytest, which takes longer than most commands."""
+    program, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = program
 
 
 def _main(what: Callable[[], None], arguments: list[str], cwd: Path, env: dict[str, str], out: Path, err: Path, brief: bool) -> None:

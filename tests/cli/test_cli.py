@@ -211,7 +211,7 @@ def test_the_calls_of_the_readme_and_what_they_leave(
     (following,) = [line for line in relabelled.err.splitlines() if line.startswith("next: ")]
     assert following == "next: cudc-bench evaluate --algo td3 --dataset-id walker/cudc-smoke-v0"
 
-    evaluated = cli(*shlex.split(following)[2:], brief=True)
+    evaluated = cli(*shlex.split(following)[2:], "--workers", "1", brief=True)
     assert evaluated.code == 0, evaluated.err
     assert "next: cudc-bench leaderboard results" in evaluated.err
     assert "missing" not in evaluated.err
@@ -276,7 +276,8 @@ def test_what_comes_next_works_whatever_the_usual_profile_is(
 
 
 def test_missing_steps_are_done_and_said(cli: Callable, here: Callable, datasets: Path, tmp_path: Path) -> None:
-    done = cli("evaluate", "--method", "random", "--seed", "2", "--task", "walk", "--output", "elsewhere")
+    few = ("--set", "evaluation_episodes=1", "--set", "final_episodes=1")
+    done = cli("evaluate", "--method", "random", "--seed", "2", "--task", "walk", *few, "--output", "elsewhere")
     assert done.code == 0, done.err
     assert "walker/random-smoke-seed2-v0 missing: collecting first" in done.err
     assert "walker/walk/random-smoke-seed2-v0 missing: relabelling first" in done.err

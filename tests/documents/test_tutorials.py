@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -100,12 +101,18 @@ def here(
 
 
 @pytest.fixture
-def follow(here: Callable[..., str]) -> Callable[[str], list[str]]:
-    """Gives all commands of ours in a page, in their order, at the smoke profile and with short films; returns what they printed."""
+def follow(here: Callable[..., str]) -> Callable[..., list[str]]:
+    """Gives all commands of ours in a page, in their order, at the smoke profile and with short films; returns what they printed.
 
-    def done(page: str) -> list[str]:
-        ours = [words[1:] for _, words in commands(page) if words[0] == "cudc-bench"]
-        return [here(*map(at_smoke, words), *(("--seconds", "0.2") if words[0] == "compare" else ())) for words in ours]
+    One command may be ``brief``, see :func:`served.briefly`."""
+
+    def done(page: str, brief: str = "") -> list[str]:
+        found = []
+        for _, (program, *words) in commands(page):
+            if program == "cudc-bench":
+                with served.briefly() if words[0] == brief else nullcontext():
+                    found.append(here(*map(at_smoke, words), *(("--seconds", "0.2") if words[0] == "compare" else ())))
+        return found
 
     return done
 
@@ -185,10 +192,11 @@ def test_policies_leave(here: Callable[..., str], run: Callable[..., str], smoke
 
 
 def test_what_looks_at_results_looks(here: Callable[..., str], follow: Callable[[str], list[str]], smoke: Path, tmp_path: Path) -> None:
-    here("evaluate", "--algo", "td3", "--task", "walk")
     here("collect", "--method", "random")
+    with served.briefly():
+        here("evaluate", "--algo", "td3", "--task", "walk")
     for name in ("diagnostics", "leaderboard", "verify"):
-        follow(f"docs/how-to/{name}.md")
+        follow(f"docs/how-to/{name}.md", brief="rerun")
         assert name == "verify" or list((tmp_path / "report").iterdir())
         shutil.rmtree(tmp_path / "report", ignore_errors=True)
 

@@ -155,7 +155,7 @@ def test_a_target_drawn_at_reset_really_is_missing_from_the_state() -> None:
 
 def test_observations_that_no_state_determines_are_found() -> None:
     """The thin quadruped's were measured; these are found by changing nothing but what MuJoCo computes last."""
-    assert check_domain(f"{SUITE}quadruped-run").beyond_state == check_domain("quadruped").beyond_state
+    assert check_domain(f"{SUITE}quadruped-walk").beyond_state == check_domain("quadruped").beyond_state
     assert check_domain(f"{SUITE}hopper-hop").beyond_state == ((13, 15),)  # the touch sensors
     assert check_domain(f"{SUITE}cheetah-run").beyond_state == ()
 

@@ -117,13 +117,13 @@ print(environment.spec.id, environment.spec.max_episode_steps)
 
 
 def test_policies_are_scored_by_it(place: Path, smoke: Path, cli: Callable) -> None:
-    done = cli("evaluate", "--reward", "own_rewards:hop", "--output", "out")
+    done = cli("evaluate", "--reward", "own_rewards:hop", "--output", "out", brief=True)
     assert done.code == 0, done.err
     assert "walker/hop/cudc-smoke-v0 missing: relabelling first" in done.err
     record = read_record(place / done.out.strip())
     assert (record.dataset.task, record.dataset.reward.reference) == ("hop", "own_rewards:hop")
     assert "reward: own_rewards:hop" in record.group
-    assert cli(*record.command.split()[1:], "--output", "again").code == 0
+    assert cli(*record.command.split()[1:], "--output", "again", brief=True).code == 0
     (again,) = (place / "again").rglob("*.json")
     assert read_record(again).final == record.final
     # Replayed here: the returns are those of the function in the live environment.
