@@ -53,7 +53,7 @@ def data(episodes=120, noise=0.5):
         rng = np.random.default_rng(0)
         for episode in range(episodes):
             policy = policies[episode % len(policies)]
-            rows = roll(lambda x, policy=policy: policy(x) + rng.normal(0, noise, x.shape), rng.uniform(-1, 1, 1))
+            rows = roll(lambda x, policy=policy, rng=rng: policy(x) + rng.normal(0, noise, x.shape), rng.uniform(-1, 1, 1))
             observations, actions, rewards = (torch.from_numpy(one[0]) for one in rows)
             found.add(member, observations, actions, rewards=rewards)
     return found
