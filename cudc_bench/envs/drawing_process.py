@@ -110,6 +110,7 @@ class _Painter:
         site, tasks = self._model.site("target_site"), DOMAINS["jaco"].tasks
         if self._task in tasks:
             site.pos[:] = TARGETS[tasks.index(self._task)]
+            site.sameframe[:] = 0  # As compiled it lies in its body's origin, and MuJoCo would not look at its position.
         else:
             site.rgba[3] = 0.0
 
