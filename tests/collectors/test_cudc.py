@@ -159,16 +159,16 @@ def test_effective_rank_of_known_spectra():
 
 @pytest.fixture(scope="module")
 def random_walker():
-    return random_walker_data(40, "stand", (1,))
+    return random_walker_data(10, "stand", (1,))
 
 
 @pytest.mark.parametrize("action_target", ["stopgrad", "live"])
 def test_the_representation_learns_and_a_live_action_target_collapses(random_walker, action_target):
-    # The auxiliary models alone, on 40 episodes of random actions: the pilot behind the choice of targets, at a smaller width.
+    # The auxiliary models alone, on 10 episodes of random actions: the pilot behind the choice of targets, smaller and faster.
     sizes = Sizes("walker", 24, 6, 1000, 4000, 2)
-    c = CUDC(sizes, CUDCConfig(width=128, feature_dim=128, batch_size=128, action_target=action_target), [1])
+    c = CUDC(sizes, CUDCConfig(width=64, feature_dim=64, batch_size=128, learning_rate=3e-4, action_target=action_target), [1])
     reach, batch = [], None
-    for _ in range(1500):
+    for _ in range(800):
         batch = random_walker.sample(128, c.horizon)
         loss, losses = c.auxiliary_loss(batch)
         minimise(loss, c.optimisers["belief"])
