@@ -169,7 +169,7 @@ def whole(tmp_path_factory):
     return run_in(tmp_path_factory.mktemp("whole"), make("td3", (3, 4)))
 
 
-@pytest.mark.parametrize("acts", [75, 125, 175, 225])
+@pytest.mark.parametrize("acts", [int(n * BRIEF.episode_length) for n in (1.5, 2.5, 3.5, 4.5)])
 def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole):
     """Interrupted in the second evaluation, in the larger one beside it, in the one after the last update, and in the larger one then."""
     agent = make("td3", (3, 4))
@@ -182,7 +182,7 @@ def test_an_evaluation_that_was_interrupted_is_made_again(acts, tmp_path, whole)
         return act(observation)
 
     agent.act = asking
-    with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts < 150 else 20} of 20"):
+    with pytest.raises(interrupts.Interrupted, match=f"at gradient step {10 if acts < 3 * BRIEF.episode_length else 20} of 20"):
         run_in(tmp_path, agent)
     assert run_in(tmp_path, make("td3", (3, 4))) == whole
 
