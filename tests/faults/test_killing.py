@@ -118,7 +118,7 @@ def test_ctrl_c_in_a_terminal_reaches_all_and_all_save(reader: bool, datasets: P
         assert re.fullmatch(line, said.splitlines()[-1])
 
 
-def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environment: dict[str, str], tmp_path: Path, cli: Callable) -> None:
     process = subprocess.Popen(TWO, env=environment | STOPS_ITSELF, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     with killed_in_the_end(process):
         first, second = stopped_with_something_kept(datasets, process)
@@ -132,8 +132,8 @@ def test_a_worker_that_is_killed_takes_nothing_with_it(datasets: Path, environme
     assert "Traceback" not in said
     assert minari.list_local_datasets() == {}
     assert len({path.parent for path in datasets.rglob("*.pt")}) == 2
-    done = subprocess.run(TWO, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
-    assert (done.returncode, done.stdout.split()) == (0, ["walker/random-smoke-v0", "walker/random-smoke-seed2-v0"])
+    done = cli(*TWO[3:])
+    assert (done.code, done.out.split()) == (0, ["walker/random-smoke-v0", "walker/random-smoke-seed2-v0"])
     (undisturbed,) = cudc_bench.collect("random", profile="smoke", settings={"steps": 6_000}, dataset_id="walker/undisturbed-v0")
     assert verify_fingerprint("walker/random-smoke-v0") == read_manifest(undisturbed).fingerprint
 
