@@ -36,7 +36,7 @@ from cudc_bench.suites.pool import job_worker
 
 from ..served import briefly
 
-COLLECT = ["collect", "--set", "steps=2300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
+COLLECT = ["collect", "--set", "steps=3300", "--set", "seed_steps=900", "--set", "update_every=30", "--checkpoint-every", "0"]
 COMMANDS = {
     "collect": [*COLLECT, "--method", "cudc"],
     "collect with skills": [*COLLECT, "--method", "smm"],
