@@ -58,7 +58,7 @@ RUN = {
 def at_smoke(text: str) -> str:
     """What a page says, with the profile that takes seconds, and ids of datasets that were collected at it."""
     text = re.sub(r"\b(cudc|random)(?:-demo|-smoke)?-v0", r"\1-smoke-v0", text)
-    return re.sub(r"(results/)(?:demo|cpu)\b", r"\1smoke", "smoke" if text == "demo" else text)
+    return re.sub(r"(results/)(?:demo|cpu)\b", r"\1smoke", "smoke" if text in {"demo", "cpu"} else text)
 
 
 @pytest.fixture
