@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from cudc_bench import plugins
+from cudc_bench.cli import app
+from cudc_bench.cli.app import build_app
 from cudc_bench.errors import RunError
 
 from .helpers import COLLECT, refused
@@ -39,6 +41,8 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
         monkeypatch.delitem(__import__("sys").modules, "foreign", raising=False)
         # Entry points are looked up once in a process.
         monkeypatch.setattr(plugins, "_points", cache(plugins._points.__wrapped__))
+        # The command line that the tests have ready knows nothing of it.
+        monkeypatch.setattr(app, "build_app", build_app)
 
     return put
 

@@ -18,6 +18,7 @@ from cudc_bench.data.reader import load_episodes
 from cudc_bench.envs import DOMAINS, make_simulators
 from cudc_bench.envs.rewards import load_reward
 from cudc_bench.errors import RunError, UsageError
+from cudc_bench.evaluators.contract import BRIEF
 from cudc_bench.evaluators.policies import rendering
 from cudc_bench.evaluators.policies.rollout import recorded_seeds
 from cudc_bench.evaluators.policies.stored import learner_path, load_learner, policy_path
@@ -299,7 +300,7 @@ def test_a_goal_is_a_state_to_come_near(base, algo):
     observations, total = np.empty((2, 24), np.float32), 0.0
     simulator.reset(recorded_seeds(found, 1)[0])
     simulator.observe(observations[0])
-    for _ in range(50):
+    for _ in range(BRIEF.episode_length):
         observations[:] = observations[0]
         simulator.step(monkey.act(observations)[0])
         simulator.observe(observations[0])
