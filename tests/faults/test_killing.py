@@ -28,7 +28,7 @@ RANDOM = [sys.executable, "-m", "cudc_bench.cli", "collect", "--method", "random
 COLLECT = [*RANDOM, "--set", "steps=8000"]
 TWO = [*RANDOM, "--set", "steps=6000", "--seeds", "1-2", "--workers", "2"]
 
-KILLS = {"collect": 12, "evaluate": 3, "relabel": 3, "pilot": 2, "reference": 2, "suite": 2}
+KILLS = {"collect": 12, "evaluate": 3, "relabel": 3, "pilot": 2, "reference": 4, "suite": 2}
 
 
 @pytest.mark.longest
