@@ -208,7 +208,11 @@ def test_how_far_from_convergence_the_trainings_are(section: str) -> None:
     )
 
 
-def test_what_learners_without_rewards_reach_is_what_the_records_say() -> None:
+@pytest.mark.parametrize(
+    ("page", "heading", "method"),
+    [("docs/how-to/zero-shot.md", "## What to expect of small runs", "rnd"), ("studies/zero-shot.md", "### CUDC's first dataset", "cudc")],
+)
+def test_what_learners_without_rewards_reach_is_what_the_records_say(page: str, heading: str, method: str) -> None:
     found = make_leaderboard(ROOT / "studies" / "zero-shot", output=None)
     assert not found.problems
     rows: dict[str, list[Any]] = {}
@@ -217,9 +221,8 @@ def test_what_learners_without_rewards_reach_is_what_the_records_say() -> None:
         rows["random actions"] = [one.floor for one in bounds]
         name = "`td3`, trained on each task" if table.algorithm == "td3" else f"`{table.algorithm}`"
         scores = {(one.dataset.method, one.dataset.seed, one.dataset.task): one.score(50_000) for one in table.records}
-        rows[name] = [scores["rnd", 1, task] for task in TASKS]
-    text = (ROOT / "docs" / "how-to" / "zero-shot.md").read_text()
-    shown = text.split("## What to expect of small runs")[1].split("(`cudc-bench")[0]
+        rows[name] = [scores[method, 1, task] for task in TASKS]
+    shown = (ROOT / page).read_text().split(heading)[1].split("(`cudc-bench")[0]
     lines = {line for line in shown.splitlines() if line.startswith("|")}
     assert len(rows) == len(lines) - 2 == 7
     assert {f"| {name} | {' | '.join(f'{value:.0f}' for value in row)} |" for name, row in rows.items()} < lines
