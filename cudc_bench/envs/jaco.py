@@ -25,8 +25,8 @@ TARGETS = np.array([[-0.09, 0.09, 0.001], [0.09, 0.09, 0.001], [-0.09, -0.09, 0.
 def _composer() -> tuple[Reach, Physics]:
     """dm_control's own task, which compiles the model and draws initial states; one for each process.
 
-    It is ``reach_site`` with the target in a fixed place and unobserved, as ExORL has it. Compiled once: nothing in it changes the
-    model between episodes.
+    It is ``reach_site`` with the target in a fixed place and unobserved, as ExORL has it. Compiled once: an episode's start
+    changes nothing in the model but where its target is, which nothing observes.
     """
     import absl.logging
     from dm_control import mjcf

@@ -128,7 +128,7 @@ class MujocoSimulator(Simulator):
     @classmethod
     @abstractmethod
     def build_model(cls) -> mujoco.MjModel:
-        """Compile dm_control's own model of this domain."""
+        """Compile dm_control's own model of this domain; asked once in a process, whose simulators have copies."""
 
     @abstractmethod
     def initialise(self, random: np.random.RandomState) -> None:
